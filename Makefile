@@ -90,7 +90,8 @@ lint: $(READY)
 # QUOTE=--write mends the pages instead.
 QUOTED := $(BIN)/python tests/check_readme.py
 check-numbers: $(READY)
-	$(BIN)/spotcheck paper data/paper_numbers.yaml --dataset data/virtual-rig --results results/virtual-rig --strict \
+	$(BIN)/spotcheck paper data/published.yaml --seeds data/published_seeds.csv --strict \
+	    --dataset data/virtual-rig --results results/virtual-rig \
 	    --table $(CHECK)/numbers.csv --page $(CHECK)/numbers.html --summary $(CHECK)/numbers.md
 	$(QUOTED) workflow/docs/paper.md numbers $(CHECK)/numbers.md $(QUOTE)
 	$(QUOTED) README.md numbers workflow/docs/paper.md --first $(QUOTE)

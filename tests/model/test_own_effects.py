@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from spotcheck.cli import effect_options as options
 from spotcheck.cli import main
-from spotcheck.cli import vocabulary as options
 from spotcheck.dataset import folder as dataset
 from spotcheck.discrepancy.written import breach_of_verdict
 from spotcheck.errors import InputError

@@ -21,7 +21,7 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot
-from spotcheck.report.views import ViewedFrames, rms_residual, view_declared, view_extended
+from spotcheck.report.views import ViewedFrames, fit_declared, fit_extended, rms_residual
 from tests.samples import drawn_frames as drawing
 from tests.samples.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
 from tests.samples.models_of_frames import (
@@ -151,7 +151,7 @@ def left_over_noise(view, frames, number: int) -> float:
 def test_the_declared_model_leaves_the_noise_of_plain_frames():
     """The rms of 5184 pixels scatters by 1 %; limits are five of that."""
     ready = viewed(plain())
-    model = view_declared(ready)
+    model = fit_declared(ready)
     for number in range(len(ready.frames)):
         assert left_over_noise(model, ready.frames, number) == pytest.approx(1, abs=0.05)
 
@@ -161,8 +161,8 @@ def test_the_extended_model_has_what_the_declared_one_lacks():
     effect = apply_effect("beam_ellipticity", ratio=1.06, direction=30.0)
     drawn = draw_frames(6, CONDITIONS, DrawnLight(ratio=1.06, direction_deg=30.0))
     ready = viewed(drawn)
-    declared = view_declared(ready)
-    views = view_extended(ready, extended(drawn, effect), sites_of(drawn))
+    declared = fit_declared(ready)
+    views = fit_extended(ready, extended(drawn, effect), sites_of(drawn))
     # A scale that puts the ellipse along both axes leaves its area: the same law holds.
     for number in np.flatnonzero(drawn.conditions.exposure_s == 9e-4):
         assert left_over_noise(declared, ready.frames, number) > 1.3
@@ -181,7 +181,7 @@ def test_deviations_are_those_of_single_frames():
     model = extended(drawn)
     site = sites_of(drawn)[4]
     moved = replace(model, spots=model.spots | {site: replace(model.spots[site], x_px=model.spots[site].x_px - 0.3)})
-    views = view_extended(viewed(drawn), moved, sites_of(drawn))
+    views = fit_extended(viewed(drawn), moved, sites_of(drawn))
     expected = {name: np.zeros(len(CONDITIONS)) for name in views.deviations}
     expected["brighter"] = factor - 1
     expected["right"][[s == site for s in sites_of(drawn)]] = 0.3
@@ -194,8 +194,8 @@ def test_without_a_law_effect_frames_lose_its_brightness():
     """What a law does to brightness goes with it; the spot of the frame itself is its own, with the law or not."""
     law = apply_effect("angle_reflectance", d=0.05, gamma0=0.0)
     ready = viewed(plain())
-    with_law = view_extended(ready, extended(plain(), law), sites_of(plain()))
-    without = view_extended(ready, extended(plain()), sites_of(plain()))
+    with_law = fit_extended(ready, extended(plain(), law), sites_of(plain()))
+    without = fit_extended(ready, extended(plain()), sites_of(plain()))
     factor = np.exp(
         with_law.without[0].compute_log_spots(ready.frames)[0] - with_law.model.compute_log_spots(ready.frames)[0]
     )
@@ -211,7 +211,7 @@ def test_without_a_law_effect_frames_lose_its_brightness():
 def test_without_a_law_there_is_no_law_to_deviate_from():
     """Then brightness and width are NaN, and so are their errors; centres are those of each frame's spot."""
     model = extended(plain(), law=None)
-    views = view_extended(viewed(plain()), model, sites_of(plain()))
+    views = fit_extended(viewed(plain()), model, sites_of(plain()))
     assert np.isnan(views.deviations["brighter"]).all() and np.isnan(views.stderr["wider"]).all()
     assert np.isfinite(views.deviations["right"]).all()
 
@@ -225,7 +225,7 @@ def test_each_frame_has_its_own_light():
     }  # fmt: skip
     model = extended(plain(), apply_effect("beam_profile", power=0.02, order=1.0), spots=spots, lights=(flat, HILL))
     ready = viewed(plain())
-    views, declared = view_extended(ready, model, sites_of(plain())), view_declared(ready)
+    views, declared = fit_extended(ready, model, sites_of(plain())), fit_declared(ready)
     for number, light in enumerate(lights):
         left = left_over_noise(views.model, ready.frames, number)
         if light == 0:
@@ -258,8 +258,8 @@ def test_scatter_leaves_the_mean():
     """An effect that scatters from frame to frame takes no part in the mean of a frame, which has its own spot."""
     effect = apply_effect("power_fluctuation", rms=0.02)
     ready = viewed(plain())
-    views = view_extended(ready, extended(plain(), effect), sites_of(plain()))
-    mean = view_extended(ready, extended(plain()), sites_of(plain())).model.predict_mean(ready.frames, 3)
+    views = fit_extended(ready, extended(plain(), effect), sites_of(plain()))
+    mean = fit_extended(ready, extended(plain()), sites_of(plain())).model.predict_mean(ready.frames, 3)
     np.testing.assert_array_equal(views.model.predict_mean(ready.frames, 3), mean)
     np.testing.assert_array_equal(views.without[0].predict_mean(ready.frames, 3), mean)
 

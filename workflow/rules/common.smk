@@ -12,7 +12,7 @@ from spotcheck.io import configuration, store, atomic_files
 
 from spotcheck.dataset import file_cache
 from spotcheck.dataset import folder as contract
-from spotcheck.cli import COMMANDS, vocabulary
+from spotcheck.cli import COMMANDS, effect_options
 from spotcheck.crops.ingest import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects
@@ -64,14 +64,14 @@ try:
     config |= configuration.resolve_config(config, workflow.config_settings.config_args or ())
     DATASETS = by_name(map(opened, config["datasets"] or [config["dataset"]]))
     # A user's effects run with a user's rights, so only the configuration names them, never a dataset.
-    effects.choose(vocabulary.read_choice(config))
+    effects.choose(effect_options.read_choice(config))
     for name, found in DATASETS.items():
         store.check_claim(Path(config["results"], name), found.folder)
 except InputError as error:
     sys.exit(f"spotcheck: {error}")
 
 # What rules of the verdict are told of the vocabulary, and by what they know that a file of it was edited.
-VOCABULARY = vocabulary.list_options(effects.chosen())
+VOCABULARY = effect_options.list_options(effects.chosen())
 OWN_EFFECTS = [file_digest(path)[:12] for path in effects.chosen().files]
 
 # Results of a dataset; rules say {dataset} and look the rest up by that name.

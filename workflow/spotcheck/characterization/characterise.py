@@ -1,4 +1,8 @@
-"""Characterisation of a sensor by its flats and darks after EMVA 1288, from arrays or from a dataset folder."""
+"""Characterisation of a sensor by its flats and darks after EMVA 1288, from arrays or from a dataset folder.
+
+Flats are frames of uniform light, darks are frames without light. A level is all frames of one light and one exposure.
+Photon transfer is the analysis of the noise of levels against their mean reading, which gives the gain.
+"""
 
 from __future__ import annotations
 
@@ -24,21 +28,26 @@ class Characterisation(Mapping[str, Quantity]):
     """Quantities of EMVA 1288 of a sensor by name, from its flats and darks.
 
     The value of each name has the attributes `value`, `stderr`, `unit`, `symbol` (of the standard) and `why`: the
-    reason why the value is unknown (NaN), or "" if it is known. `list(found)` gives all names, `print(found)` a table.
+    reason why the value is unknown (NaN), or "" if it is known. `list` of the object gives all names, `print` a table.
+
+    Parameters
+    ----------
+    levels : photon transfer of the flats and darks.
+    title, name : title and folder name of the dataset, for the table and for transfer.nc.
 
     Attributes
     ----------
     remarks : sentences on what could not be used.
-    levels : the levels of flats and darks, with their signal and noise over dark.
+    levels : photon transfer: the levels of flats and darks, with their signal and noise over dark.
 
     Examples
     --------
     >>> import spotcheck
-    >>> found = spotcheck.characterise_dataset("my-flats")
-    >>> full_well = found["full_well"]
+    >>> quantities = spotcheck.characterise_dataset("my-flats")
+    >>> full_well = quantities["full_well"]
     >>> print(f"{full_well.value:.0f} ± {full_well.stderr:.0f} {full_well.unit}")
     12592 ± 260 e-
-    >>> [name for name in found if found[name].why]
+    >>> [name for name in quantities if quantities[name].why]
     []
     """
 
@@ -56,16 +65,14 @@ class Characterisation(Mapping[str, Quantity]):
         return len(self.levels.quantities)
 
     def __repr__(self) -> str:
+        """Return a table: a title, one line for each quantity, and the remarks."""
         flats, darks = len(self.levels.flats), len(self.levels.darks)
         lines = [f"EMVA 1288 of {self._title}: {flats} levels of light, {darks} dark levels"]
         for quantity in self.values():
-            is_known = np.isfinite(quantity.value)
-            text = (
-                quantity_text(quantity.value, quantity.stderr, quantity.unit)
-                if is_known
-                else f"unknown: {quantity.why}"
-            )
-            lines.append(f"{quantity.name:<24} {quantity.symbol:<9} {text}")
+            value_text = f"unknown: {quantity.why}"
+            if np.isfinite(quantity.value):
+                value_text = quantity_text(quantity.value, quantity.stderr, quantity.unit)
+            lines.append(f"{quantity.name:<24} {quantity.symbol:<9} {value_text}")
         return "\n".join([*lines, *self.remarks])
 
     def to_dataset(self) -> xr.Dataset:
@@ -82,7 +89,7 @@ def characterise_sensor(
     bit_depth: int,
     dark_exposure_s: ArrayLike | None = None,
 ) -> Characterisation:
-    """Return the characterisation of a sensor by pairs of flat frames and pairs of dark frames.
+    """Characterise a sensor by EMVA 1288 from flats and darks, of which each level has two frames or more.
 
     The analysis follows EMVA 1288 Release 4.0 Linear: gain, dark noise, dark current, full well, quantum efficiency,
     sensitivity and linearity (sections 8.1 to 8.4), and non-uniformity as DSNU and PRNU. Each quantity has a standard
@@ -95,8 +102,8 @@ def characterise_sensor(
         in one array [level, frame, row, column].
     dark : dark levels in the same form, one for each exposure.
     exposure_s : exposure of each level of light [s], or one number for all.
-    photons : mean number of photons on a pixel during the exposure, for each level of light. Without it quantum
-        efficiency and responsivity are unknown, and linearity is that over exposure.
+    photons : mean number of photons on a pixel during the exposure, for each level of light, or one number for all.
+        Without it quantum efficiency and responsivity are unknown, and linearity is that over exposure.
     bit_depth : bits of the converter, whose largest reading is 2^bit_depth − 1.
     dark_exposure_s : exposure of each dark level [s]. It may be left out if the exposures are those of `bright`.
 
@@ -120,23 +127,23 @@ def characterise_sensor(
     >>> rng, photons = np.random.default_rng(1), np.linspace(2500, 30000, 12)
     >>> bright = [sensor.draw(np.full((2, 60, 80), mean), rng) for mean in photons]
     >>> dark = [sensor.draw(np.zeros((2, 60, 80)), rng) for mean in photons]
-    >>> found = spotcheck.characterise_sensor(bright, dark, exposure_s=1e-3, photons=photons, bit_depth=12)
-    >>> print(found["gain"])
+    >>> quantities = spotcheck.characterise_sensor(bright, dark, exposure_s=1e-3, photons=photons, bit_depth=12)
+    >>> print(quantities["gain"])
     K = 0.2493 ± 0.0027 DN/e-
-    >>> print(found["quantum_efficiency"])
-    η = 0.6015 ± 0.0066
-    >>> print(found["dark_current"])
+    >>> print(quantities["quantum_efficiency"])
+    η = 0.601 ± 0.007
+    >>> print(quantities["dark_current"])
     μ_I is unknown: fewer than three exposures of darks
     """
     if not 1 <= bit_depth <= 16:
         raise ValueError(f"bit_depth: is {bit_depth!r}; it must be from 1 to 16")
-    full_scale = 2.0**bit_depth - 1
-    flats, darks = _check_levels(bright, "bright", full_scale), _check_levels(dark, "dark", full_scale)
+    full_scale_dn = 2.0**bit_depth - 1
+    flats, darks = _check_levels(bright, "bright", full_scale_dn), _check_levels(dark, "dark", full_scale_dn)
     sizes = {stack.shape[1:] for stack in (*flats, *darks)}
     if len(sizes) > 1:
         shapes = " and ".join(f"{rows} × {columns}" for rows, columns in sorted(sizes)[:2])
         raise ValueError(f"bright, dark: have frames of {shapes} pixels; all must have one size")
-    flat_exposures = _check_numbers(exposure_s, len(flats), "exposure_s", "bright")
+    flat_exposures_s = _expand_to_levels(exposure_s, len(flats), "exposure_s", "bright")
     if dark_exposure_s is None:
         if np.ndim(exposure_s) and len(darks) != len(flats):
             raise ValueError(
@@ -144,26 +151,25 @@ def characterise_sensor(
                 " give the exposure of every dark level"
             )
         dark_exposure_s = exposure_s
-    dark_exposures = _check_numbers(dark_exposure_s, len(darks), "dark_exposure_s", "dark")
+    dark_exposures_s = _expand_to_levels(dark_exposure_s, len(darks), "dark_exposure_s", "dark")
     flat_photons = np.full(len(flats), np.nan)
     if photons is not None:
-        flat_photons = _check_numbers(photons, len(flats), "photons", "bright")
+        flat_photons = _expand_to_levels(photons, len(flats), "photons", "bright")
+    kinds = (("dark", darks, dark_exposures_s, [0.0] * len(darks)), ("flat", flats, flat_exposures_s, flat_photons))
     levels = [
-        measure_level(stack, "dark", level_exposure_s, 0.0, full_scale)
-        for stack, level_exposure_s in zip(darks, dark_exposures, strict=True)
+        measure_level(stack, kind, level_exposure_s, level_photons, full_scale_dn)
+        for kind, *columns in kinds
+        for stack, level_exposure_s, level_photons in zip(*columns, strict=True)
     ]
-    levels += [
-        measure_level(stack, "flat", level_exposure_s, level_photons, full_scale)
-        for stack, level_exposure_s, level_photons in zip(flats, flat_exposures, flat_photons, strict=True)
-    ]
-    transfer = analyse_photon_transfer(add_common_drift(levels), full_scale)
+    transfer = analyse_photon_transfer(add_common_drift(levels), full_scale_dn)
     return Characterisation(transfer, "frames in memory", "frames in memory")
 
 
 def characterise_dataset(folder: str | Path) -> Characterisation:
-    """Return the characterisation of the sensor of a dataset folder by its flats and darks, as `characterise_sensor`.
+    """Characterise the sensor of a dataset folder by its flats and darks, as `characterise_sensor` does for arrays.
 
-    Frames with the same light (column `photons_per_px`) and exposure form a level, which needs two or more.
+    Frames with the same light (column `photons_per_px` of manifest.csv) and exposure form a level. Noise needs two or
+    more frames of a level; a remark counts the levels with a single frame. Copies of frames are left out.
 
     Raises
     ------
@@ -173,52 +179,70 @@ def characterise_dataset(folder: str | Path) -> Characterisation:
     Examples
     --------
     >>> import spotcheck
-    >>> found = spotcheck.characterise_dataset("my-flats")
-    >>> print(found["gain"])
-    K = 0.3038 ± 0.0036 DN/e-
+    >>> quantities = spotcheck.characterise_dataset("my-flats")
+    >>> print(quantities["gain"])
+    K = 0.304 ± 0.004 DN/e-
     """
     dataset = load(folder)
     if not any(frame.kind in ("flat", "dark") for frame in dataset.frames):
         raise InputError(
             "manifest.csv: has no frame of kind flat or dark; there is nothing to characterise a sensor by"
         )
-    table = ingest_frames(dataset)
-    transfer = analyse_ingested_frames(exclude_copies(dataset, table), float(table["full_scale"]))
-    transfer.remarks.extend(store.remarks_of(table))
+    frame_table = ingest_frames(dataset)
+    transfer = analyse_ingested_frames(exclude_copies(dataset, frame_table), float(frame_table["full_scale"]))
+    transfer.remarks.extend(store.remarks_of(frame_table))
     return Characterisation(transfer, dataset.title, dataset.name)
 
 
 def analyse_ingested_frames(dataset: Dataset, full_scale_dn: float) -> Transfer:
-    """Return the photon transfer of the flats and darks of a dataset without copies, with all remarks on its levels."""
+    """Return the photon transfer of the flats and darks of a dataset.
+
+    Parameters
+    ----------
+    dataset : dataset from which copies of frames are already excluded.
+    full_scale_dn : largest reading of the converter [DN].
+
+    Returns
+    -------
+    Transfer
+        Its remarks say what could not be used, and whether the response curvature of the data sheet was corrected.
+    """
     transfer = analyse_photon_transfer(measure_levels(dataset, full_scale_dn), full_scale_dn)
     transfer.remarks.extend(list_response_remarks(dataset))
     return transfer
 
 
 def _check_levels(levels: Sequence[ArrayLike], name: str, full_scale_dn: float) -> list[np.ndarray]:
-    """Return the levels of an argument as arrays [frame, row, column]; raise ValueError if one cannot be used."""
+    """Return levels as arrays [frame, row, column]; raise ValueError if one cannot be used.
+
+    Readings in DN must be finite and at most `full_scale_dn`, and each level needs two frames. `name` is that of the
+    argument in the message.
+    """
     stacks = [np.asarray(level) for level in levels]
     if not stacks:
         raise ValueError(f"{name}: holds no level; give at least one pair of frames")
-    for number, stack in enumerate(stacks):
+    for index, stack in enumerate(stacks):
         if stack.ndim != 3 or not stack.size:
             raise ValueError(
-                f"{name}: level {number} has the shape {stack.shape}; it must be [frame, row, column] with two frames"
+                f"{name}: level {index} has the shape {stack.shape}; it must be [frame, row, column] with two frames"
             )
         if len(stack) < 2:
-            raise ValueError(f"{name}: level {number} has a single frame, and noise needs two of one light")
+            raise ValueError(f"{name}: level {index} has a single frame, and noise needs two of one light")
         if not np.isfinite(stack).all():
-            raise ValueError(f"{name}: level {number} holds NaN or infinity; every pixel must have a reading")
+            raise ValueError(f"{name}: level {index} holds NaN or infinity; every pixel must have a reading")
         if stack.max() > full_scale_dn:
             raise ValueError(
-                f"{name}: level {number} holds {stack.max():g} DN, above the {full_scale_dn:g} of bit_depth; correct it"
+                f"{name}: level {index} holds {stack.max():g} DN, above the {full_scale_dn:g} of bit_depth; correct it"
             )
     return stacks
 
 
-def _check_numbers(values: ArrayLike, count: int, name: str, levels_name: str) -> np.ndarray:
-    """Return one number of an argument for each of `count` levels; raise ValueError if they are not finite, below 0 or
-    of another number."""
+def _expand_to_levels(values: ArrayLike, count: int, name: str, levels_name: str) -> np.ndarray:
+    """Return one number for each level [level] from a number for all levels or an array [level].
+
+    Raises ValueError if the array has another length than `count`, or a number is negative or not finite. `name` and
+    `levels_name` are those of the arguments in the message.
+    """
     numbers = np.asarray(values, dtype=float)
     if numbers.ndim > 1 or (numbers.ndim == 1 and len(numbers) != count):
         raise ValueError(

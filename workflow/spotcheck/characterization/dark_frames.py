@@ -1,4 +1,7 @@
-"""Selection of the dark frames of a dataset that contain no light."""
+"""Selection of the dark frames of a dataset that contain no light.
+
+The level of a frame is its reading where the spot does not reach; the black level is the reading without any light.
+"""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -14,7 +17,7 @@ MAX_STRAY_LIGHT = 1e-3
 class DarkLevels(NamedTuple):
     """Levels of the dark frames without light."""
 
-    levels: Sequence[float] = ()  # level of each dark frame without light [DN]
+    levels: Sequence[float] = ()  # level of each dark frame without light [DN]; empty if all contain light
     remark: str = ""  # sentence on the dark frames with light; "" if there are none
     darkest_dn: float = np.nan  # lowest level of all frames, spots included [DN]; NaN if there are none
 
@@ -27,32 +30,33 @@ def select_dark_levels(
 ) -> DarkLevels:
     """Return the levels of the dark frames without light.
 
-    Light only adds to a reading. So no part of a frame beside its spot reads less than the black level, and a dark
-    frame must read this level both in most places and on average.
+    Light only adds to a reading, so the darkest place of all frames gives an upper limit of the black level. A dark
+    frame contains light if its level or its mean exceeds this limit by more than `MAX_STRAY_LIGHT` of full scale.
 
     Parameters
     ----------
-    darks, spots : reduced copies of the dark frames and of the surroundings of spots.
+    darks, spots : means of blocks, rows and columns [DN] of each dark frame and of each frame with a spot.
     full_scale_dn : largest reading of the converter [DN].
     """
-    measured = [(measure_frame_level(frame), float(np.nanmean(frame.row_mean))) for frame in darks]
-    all_levels = [level for level, _ in measured] + [measure_frame_level(frame) for frame in spots]
-    darkest = min(all_levels, default=np.nan)
-    limit = darkest + MAX_STRAY_LIGHT * full_scale_dn
-    levels = [level for level, mean in measured if max(level, mean) <= limit]
-    if len(levels) == len(measured):
-        return DarkLevels(levels, "", darkest)
-    brightest = max(mean for _, mean in measured)
-    consequence = "that of the others" if levels else "not taken from them"
+    levels_and_means = [(measure_frame_level(frame), float(np.nanmean(frame.row_mean))) for frame in darks]
+    all_levels = [level for level, _ in levels_and_means] + [measure_frame_level(frame) for frame in spots]
+    darkest_dn = min(all_levels, default=np.nan)
+    limit_dn = darkest_dn + MAX_STRAY_LIGHT * full_scale_dn
+    unlit_levels = [level for level, mean in levels_and_means if max(level, mean) <= limit_dn]
+    total, lit_count = len(levels_and_means), len(levels_and_means) - len(unlit_levels)
+    if not lit_count:
+        return DarkLevels(unlit_levels, "", darkest_dn)
+    brightest_dn = max(mean for _, mean in levels_and_means)
+    consequence = "that of the others" if unlit_levels else "not taken from them"
     remark = (
-        f"{len(measured) - len(levels)} of {len(measured)} dark frames hold light (they read up to {brightest:.4g} DN"
-        f" on average, where black is {darkest:.4g} DN at most), so the black level is {consequence}"
+        f"{lit_count} of {total} dark frames hold light (they read up to {brightest_dn:.4g} DN"
+        f" on average, where black is {darkest_dn:.4g} DN at most), so the black level is {consequence}"
     )
-    return DarkLevels(levels, remark, darkest)
+    return DarkLevels(unlit_levels, remark, darkest_dn)
 
 
 def measure_frame_level(frame: ReducedFrame) -> float:
-    """Return the level of a frame beside its spot [DN]: the lowest median of its rows, columns and blocks.
+    """Return the level of a frame beside its spot [DN]: the lowest of the medians of its row, column and block means.
 
     A spot and hot pixels hardly change it.
     """

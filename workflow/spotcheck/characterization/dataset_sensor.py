@@ -1,4 +1,9 @@
-"""Parameters of the sensor of a dataset: collects the evidence of crops, darks and pairs of frames."""
+"""The `sensor` stage: reads crops, dark frames and pairs of frames of a dataset, and chooses the sensor's values.
+
+A crop is a square image around a spot. crops.nc holds two crops of each frame (`centring`): one centred on the light,
+one on the maximum. A cell is a place in the grid of conditions and repeats. A reduced frame consists of the means of
+blocks, rows and columns of a whole frame [DN].
+"""
 
 from collections.abc import Mapping
 
@@ -23,28 +28,30 @@ def choose_dataset_sensor(
     Parameters
     ----------
     dataset : Dataset
-        The dataset.
+        The dataset, whose dark frames are read.
     crops, table : xr.Dataset
         Content of crops.nc and frames.nc.
     measured : mapping of str to Quantity
-        Photon transfer of flats and darks, by name; empty without them.
+        Quantities of the photon transfer of flats and darks, by name; empty without flats and darks.
     """
-    centred = crops.sel(centring="light")
-    images = (
-        centred["image"].isel(index).values
-        for index in iterate_cells(centred, store.grid_dims(crops))
-        if is_usable(centred["status"].isel(index))
+    light_crops = crops.sel(centring="light")
+    spot_images = (
+        light_crops["image"].isel(cell).values
+        for cell in iterate_cells(light_crops, store.grid_dims(crops))
+        if is_usable(light_crops["status"].isel(cell))
     )
-    darks = (
+    # Generators: a single frame is in memory at a time.
+    reduced_darks = (
         frames.reduce_frame(frames.read_masked_image(dataset, frame))
         for frame in dataset.frames
         if frame.kind == "dark"
     )
-    surrounds = (
-        frames.ReducedFrame(*(crops[name].isel(index).values for name in frames.ReducedFrame._fields))
-        for index in iterate_cells(crops, store.grid_dims(crops))
+    reduced_spots = (
+        frames.ReducedFrame(*(crops[name].isel(cell).values for name in frames.ReducedFrame._fields))
+        for cell in iterate_cells(crops, store.grid_dims(crops))
     )
-    dark = select_dark_levels(darks, surrounds, float(table["full_scale"]))
-    pairs = {"exposures of a site": iterate_pairs(centred, "exposure"), "repeats": iterate_pairs(centred, "repeat")}
+    darks = select_dark_levels(reduced_darks, reduced_spots, float(table["full_scale"]))
+    pairs = {"exposures of a site": iterate_pairs(light_crops, "exposure")}
+    pairs["repeats"] = iterate_pairs(light_crops, "repeat")
     highest_dn = float(table["maximum"].max())
-    return choose_sensor_values(dataset, read_full_scale(table), images, dark, measured, pairs, highest_dn)
+    return choose_sensor_values(dataset, read_full_scale(table), spot_images, darks, measured, pairs, highest_dn)

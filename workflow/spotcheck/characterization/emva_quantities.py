@@ -1,4 +1,7 @@
-"""Quantities of EMVA 1288: their symbols and units, and their values with standard errors or why they are unknown."""
+"""Quantities of EMVA 1288: symbols, units and meanings, and the values of one sensor with their standard errors.
+
+A quantity without a value has the reason why it is unknown.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -56,26 +59,29 @@ class Quantity:
 
 
 class QuantityTable(dict[str, Quantity]):
-    """Quantities by name, filled one after the other."""
+    """Quantities by name. A later entry of the same name replaces an earlier one."""
 
     def set(self, name: str, value: float, stderr: float) -> None:
-        """Enter a value and its standard error, both in the unit of the quantity."""
+        """Enter a value and its standard error, both in the unit that `QUANTITIES` gives for the name."""
         symbol, unit, _ = QUANTITIES[name]
         self[name] = Quantity(name, symbol, float(value), float(stderr), unit)
 
     def set_unknown(self, names: Iterable[str], reason: str) -> None:
-        """Mark quantities as unknown for a reason."""
+        """Mark the named quantities as unknown, with the reason as a phrase; earlier values are replaced."""
         for name in names:
             symbol, unit, _ = QUANTITIES[name]
             self[name] = Quantity(name, symbol, np.nan, np.nan, unit, reason)
 
     def fill_unknown(self, reason: str) -> None:
-        """Mark all quantities that have no entry yet as unknown for a reason."""
+        """Mark all quantities that have no entry yet as unknown, with the reason as a phrase."""
         self.set_unknown([name for name in QUANTITIES if name not in self], reason)
 
 
 def divide(numerator: Quantity, denominator: Quantity) -> tuple[float, float]:
-    """Return the quotient of two independent quantities and its standard error."""
+    """Return the quotient of two independent quantities and its standard error.
+
+    Both are NaN if a quantity is unknown. The denominator must not be 0.
+    """
     ratio = numerator.value / denominator.value
     error = np.hypot(numerator.stderr / denominator.value, ratio * denominator.stderr / denominator.value)
     return ratio, float(error)

@@ -1,7 +1,8 @@
-"""Images and spectra of the fixed pattern without light and at half of saturation.
+"""Images and spectra of the fixed pattern without light and at half of saturation, for transfer.nc.
 
-EMVA 1288 Release 4.0 Linear, section 8.3, asks for both: a spectrogram distinguishes stripes and hum from white
-non-uniformity.
+The fixed pattern is the mean image of a level less its mean; a level is all frames of one light and one exposure.
+EMVA 1288 Release 4.0 Linear, section 8.3, asks for image and spectrum: a spectrum distinguishes stripes and hum from
+white non-uniformity.
 """
 
 from dataclasses import dataclass
@@ -14,59 +15,61 @@ from spotcheck.characterization.photon_transfer import Transfer
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 
-# Longest side of a stored image [px]; larger frames are averaged in blocks.
+# Largest number of blocks along a side of a stored image; frames with more pixels are averaged in blocks.
 MAX_SIDE = 256
-# Largest number of frequencies of a stored spectrum; longer ones are averaged.
+# Largest number of frequencies of a stored spectrum; in longer spectra, neighbouring frequencies are averaged.
 MAX_FREQUENCIES = 1024
 
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """The mean image of a level, from which its mean is subtracted."""
+    """Image and spectra of the mean image of a level, from which its mean is subtracted."""
 
-    image: np.ndarray  # means of blocks [DN], [block row, block column]
+    image: np.ndarray  # means of square blocks [DN], [block row, block column]
     side: int  # side of a block [px]
     along_rows: np.ndarray  # rms spectrum along rows [DN], frequencies from 0 to ½ cycles/px
-    along_columns: np.ndarray  # rms spectrum along columns [DN]
+    along_columns: np.ndarray  # rms spectrum along columns [DN], likewise
     noise: float  # rms of the temporal noise in the mean image [DN], which each spectrum contains
 
 
 def select_levels(transfer: Transfer) -> dict[str, Level]:
-    """Return the levels that are shown: `dark`, that with most frames, and `flat`, the nearest to half of saturation.
+    """Return the levels whose pattern is stored, under the keys "dark" and "flat".
 
-    A level that does not exist is left out. The shortest exposure decides between dark levels of equally many frames.
+    "dark" is the dark level with most frames; of several, that with the shortest exposure. "flat" is the flat level
+    nearest to half of the signal at saturation. A key is missing if there are no darks, or no flat shows saturation.
     """
     levels: dict[str, Level] = {}
     if transfer.darks:
         levels["dark"] = max(transfer.darks, key=lambda dark: (dark.frames, -dark.exposure_s))
     if transfer.saturation is not None:
-        half = transfer.signal[transfer.saturation] / 2
-        levels["flat"] = transfer.flats[int(np.argmin(np.abs(transfer.signal - half)))]
+        half_signal = transfer.signal[transfer.saturation] / 2
+        levels["flat"] = transfer.flats[int(np.argmin(np.abs(transfer.signal - half_signal)))]
     return levels
 
 
 def measure_pattern(dataset: Dataset, level: Level) -> FixedPattern:
-    """Return the pattern of one level of a dataset from all frames of the level."""
+    """Return the pattern of one level from all of its frames, which are read one at a time from the dataset."""
     total = np.zeros(level.shape, np.float32)
-    for (kind, *light), frames_of_level in group_frames(dataset).items():
+    for (kind, *light), level_frames in group_frames(dataset).items():
+        # Unknown exposures and photons are NaN in both.
         if kind == level.kind and np.array_equal(light, [level.exposure_s, level.photons], equal_nan=True):
-            for frame in frames_of_level:
+            for frame in level_frames:
                 total += frames.read_masked_image(dataset, frame).astype(np.float32)
     mean = total / level.frames
     # Bad pixels (NaN) show no pattern.
-    mean = np.nan_to_num(mean - np.nanmean(mean, dtype=float))
-    side = max(1, -(-max(mean.shape) // MAX_SIDE))
+    deviation = np.nan_to_num(mean - np.nanmean(mean, dtype=float))
+    side = max(1, -(-max(deviation.shape) // MAX_SIDE))
     noise = float(np.sqrt(max(np.nan_to_num(level.variance), 0.0) / level.frames))
-    return FixedPattern(
-        frames.average_blocks(mean, side), side, compute_spectrum(mean), compute_spectrum(mean.T), noise
-    )
+    image = frames.average_blocks(deviation, side)
+    return FixedPattern(image, side, compute_spectrum(deviation), compute_spectrum(deviation.T), noise)
 
 
 def compute_spectrum(image: np.ndarray) -> np.ndarray:
-    """Return the rms spectrum along the rows of an image [rows, columns], from 0 to ½ cycles/px.
+    """Return the rms spectrum [frequency] along the rows of an image [rows, columns], from 0 to ½ cycles/px.
 
     It is the root of the mean power over all rows, in the unit of the image; white noise of rms s gives s at each
-    frequency.
+    frequency. If there are more than `MAX_FREQUENCIES`, the power of neighbouring frequencies is averaged, and the
+    last frequencies that do not fill a group are dropped.
     """
     columns = image.shape[1]
     power = np.zeros(columns // 2 + 1)
@@ -75,28 +78,36 @@ def compute_spectrum(image: np.ndarray) -> np.ndarray:
     spectrum = np.sqrt(power / image.shape[0] / columns)
     if len(spectrum) <= MAX_FREQUENCIES:
         return spectrum
-    averaged = -(-len(spectrum) // MAX_FREQUENCIES)
-    whole = len(spectrum) // averaged * averaged
-    return np.sqrt((spectrum[:whole].reshape(-1, averaged) ** 2).mean(axis=1))
+    group_size = -(-len(spectrum) // MAX_FREQUENCIES)
+    used = len(spectrum) // group_size * group_size
+    return np.sqrt((spectrum[:used].reshape(-1, group_size) ** 2).mean(axis=1))
 
 
 def add_patterns(ds: xr.Dataset, dataset: Dataset, transfer: Transfer) -> xr.Dataset:
-    """Return transfer.nc with images and spectra of the levels of `select_levels` added to it."""
+    """Add images and spectra of the levels that `select_levels` chooses to `ds`, and return it.
+
+    Parameters
+    ----------
+    ds : content of transfer.nc, which is changed in place.
+    dataset : dataset whose frames are read.
+    transfer : photon transfer of its flats and darks.
+    """
     for kind, level in select_levels(transfer).items():
         pattern = measure_pattern(dataset, level)
-        name = "without light" if kind == "dark" else "at half of saturation"
-        attributes = {"units": "DN", "long_name": f"mean image {name} less its mean"}
+        phrase = "without light" if kind == "dark" else "at half of saturation"
+        attributes = {"units": "DN", "long_name": f"mean image {phrase} less its mean"}
         ds[f"{kind}_picture"] = ((f"{kind}_y", f"{kind}_x"), pattern.image, attributes)
         for axis, spectrum in (("rows", pattern.along_rows), ("columns", pattern.along_columns)):
             dim = f"{kind}_{axis}_frequency"
+            # Approximate: the highest frequency of an odd number of pixels, or of averaged ones, is slightly below ½.
             frequency = np.linspace(0, 0.5, len(spectrum))
             ds[dim] = (dim, frequency, {"units": "1/pixel", "long_name": f"spatial frequency along {axis}"})
-            attributes = {"units": "DN", "long_name": f"rms spectrum along {axis} of the mean image {name}"}
+            attributes = {"units": "DN", "long_name": f"rms spectrum along {axis} of the mean image {phrase}"}
             ds[f"{kind}_along_{axis}"] = (dim, spectrum, attributes)
-        for key, value, units, text in (
+        for suffix, value, units, long_name in (
             ("side", pattern.side, "pixel", "pixels of a block of the picture"),
             ("noise", pattern.noise, "DN", "rms of noise in time in the mean image"),
             ("at", level.mean, "DN", "mean reading"),
         ):
-            ds[f"{kind}_shown_{key}"] = ((), value, {"units": units, "long_name": f"{text} {name}"})
+            ds[f"{kind}_shown_{suffix}"] = ((), value, {"units": units, "long_name": f"{long_name} {phrase}"})
     return ds

@@ -1,7 +1,8 @@
 """Levels of flats and darks: mean, temporal noise and fixed pattern of all frames with the same light and exposure.
 
-The temporal noise comes from differences of two frames, so that no fixed pattern counts as noise (EMVA 1288 Release 4.0
-Linear, section 8.2). Frames are read one at a time.
+Flats are frames of uniform light, darks are frames without light. The temporal noise comes from differences of two
+frames, so that no fixed pattern counts as noise (EMVA 1288 Release 4.0 Linear, section 8.2). Frames are read one at a
+time. Drift is the change of the mean reading from frame to frame, which is more than the noise of pixels explains.
 """
 
 from collections.abc import Iterable, Sequence
@@ -24,10 +25,10 @@ SATURATED_PART = 0.5
 class PatternVariances(NamedTuple):
     """Variances of the mean image without temporal noise [DN²] (EMVA 1288 Release 4.0 Linear, section 8.3)."""
 
-    total: float  # of all pixels
-    column: float  # of the columns
-    row: float  # of the rows
-    pixel: float  # of the pixels within columns and rows
+    total: float  # variance of all pixels; the sum of the other three
+    column: float  # variance from column to column
+    row: float  # variance from row to row
+    pixel: float  # variance of the pixels within columns and rows
 
 
 @dataclass(frozen=True)
@@ -36,15 +37,15 @@ class Level:
 
     kind: str  # "flat" or "dark"
     exposure_s: float  # exposure [s]; NaN if not given
-    photons: float  # mean number of photons per pixel; NaN if not given, 0 for darks
+    photons: float  # mean number of photons per pixel during the exposure; NaN if not given, 0 for darks
     frames: int  # number of frames
     mean: float  # mean reading [DN]
-    mean_error: float  # standard error of the mean [DN]
+    mean_error: float  # standard error of the mean [DN]; from `measure_level` NaN with a single frame
     variance: float  # temporal variance of a pixel [DN²]; NaN with a single frame
-    variance_error: float  # standard error of the temporal variance [DN²]
+    variance_error: float  # standard error of the temporal variance [DN²]; NaN with a single frame
     at_zero: float  # part of the pixels that read 0
     at_full: float  # part of the pixels that read full scale
-    pattern: PatternVariances  # variances of the fixed pattern [DN²]
+    pattern: PatternVariances  # variances of the fixed pattern [DN²]; NaN with a single frame
     shape: tuple[int, int]  # rows and columns of a frame
 
     @property
@@ -56,25 +57,30 @@ class Level:
 def measure_levels(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     """Return all levels of the flats and darks of a dataset, darks first, then by exposure and light.
 
+    The response curvature that the data sheet gives is corrected in all frames.
+
     Parameters
     ----------
-    dataset : dataset whose frames are read. The response curvature of its data sheet is corrected.
+    dataset : dataset whose frames are read.
     full_scale_dn : largest reading of the converter [DN].
     """
     groups = group_frames(dataset)
     # Unknown exposures and photons (NaN) come first.
     keys = sorted(groups, key=lambda key: (key[0] != "dark", *np.nan_to_num(key[1:], nan=-1.0)))
     sensor = make_linearizing_sensor(dataset, full_scale_dn)
-    linear_end_dn = sensor.without_curvature().full_scale_dn
+    linear_full_scale_dn = sensor.without_curvature().full_scale_dn
     levels = []
     for key in progress.track(keys, "reading levels of flats and darks"):
         images = (sensor.linearize(frames.read_masked_image(dataset, frame)) for frame in groups[key])
-        levels.append(measure_level(images, *key, linear_end_dn))
+        levels.append(measure_level(images, *key, linear_full_scale_dn))
     return add_common_drift(levels)
 
 
 def group_frames(dataset: Dataset) -> dict[tuple[str, float, float], list[Frame]]:
-    """Return the flats and darks of a dataset by kind, exposure [s] and photons per pixel (NaN: not given)."""
+    """Return the frames of each level of a dataset by (kind, exposure [s], photons per pixel).
+
+    The kind is "flat" or "dark". Exposure and photons are NaN if not given; the photons of darks are 0.
+    """
     groups: dict[tuple[str, float, float], list[Frame]] = {}
     for frame in dataset.frames:
         if frame.kind in ("flat", "dark"):
@@ -84,9 +90,10 @@ def group_frames(dataset: Dataset) -> dict[tuple[str, float, float], list[Frame]
 
 
 def make_linearizing_sensor(dataset: Dataset, full_scale_dn: float) -> SensorModel:
-    """Return a sensor model that corrects the response curvature of the data sheet.
+    """Return a sensor model whose `linearize` corrects the response curvature of the data sheet.
 
-    The curvature applies above the black level. If the data sheet gives none, it is the mean of the first dark frame.
+    The curvature applies above the black level. If the data sheet gives no black level, it is the mean of the first
+    dark frame. Gain and read noise of the model are placeholders.
     """
     sensor = dataset.instrument.sensor
     black_dn, dark = sensor.black_level_dn, next((frame for frame in dataset.frames if frame.kind == "dark"), None)
@@ -106,44 +113,53 @@ def list_response_remarks(dataset: Dataset) -> list[str]:
 def add_common_drift(levels: list[Level]) -> list[Level]:
     """Return levels, darks first, whose standard errors of the mean include the drift from frame to frame.
 
-    Two frames do not determine the drift, so that of all levels of a kind is pooled: the absolute drift of the offset
-    for darks, the relative drift of the light for flats.
+    The drift of a level cannot be determined from two frames. Its variance is therefore averaged over all levels of a
+    kind: that of the mean reading [DN²] for darks, that relative to the mean reading for flats. If no level of a kind
+    has several frames, its drift counts as 0. The error of a level with a single frame is then 0, although it is
+    unknown.
     """
-    out = []
+    updated_levels = []
     for kind in ("dark", "flat"):
         same_kind = [level for level in levels if level.kind == kind]
         # A saturated level shows no drift.
-        drifts = [
-            (level.mean_error / _drift_scale(level)) ** 2 * level.frames
+        frame_variances = [
+            (level.mean_error / _get_drift_scale(level)) ** 2 * level.frames
             for level in same_kind
             if level.frames > 1 and not level.is_saturated
         ]
-        common = float(np.mean(drifts)) if drifts else 0.0
+        frame_variance = float(np.mean(frame_variances)) if frame_variances else 0.0
         for level in same_kind:
-            noise = np.nan_to_num(level.variance) / (level.frames * level.shape[0] * level.shape[1])
-            drift = 0.0 if level.is_saturated else common * _drift_scale(level) ** 2 / level.frames
-            out.append(replace(level, mean_error=float(np.sqrt(max(noise, drift)))))
-    return out
+            noise_variance = np.nan_to_num(level.variance) / (level.frames * level.shape[0] * level.shape[1])
+            drift_variance = 0.0 if level.is_saturated else frame_variance * _get_drift_scale(level) ** 2 / level.frames
+            # No sum: the scatter of the means of frames already contains the noise of their pixels.
+            updated_levels.append(replace(level, mean_error=float(np.sqrt(max(noise_variance, drift_variance)))))
+    return updated_levels
 
 
-def collect(levels: Sequence[Level], field: str) -> np.ndarray:
-    """Return the numbers of one field of `Level` [level]."""
+def collect_field(levels: Sequence[Level], field: str) -> np.ndarray:
+    """Return a numeric field of each level as an array [level], in the unit of the field."""
     return np.array([getattr(level, field) for level in levels], float)
 
 
 def measure_light(flats: Sequence[Level]) -> np.ndarray:
-    """Return the light of each flat [flat]: photons if all flats give them, otherwise the exposure [s]."""
-    photons = collect(flats, "photons")
-    return photons if np.isfinite(photons).all() and photons.any() else collect(flats, "exposure_s")
+    """Return what the light of each flat is proportional to [flat].
+
+    This is the number of photons if all flats give one and not all are 0, otherwise the exposure [s].
+    """
+    photons = collect_field(flats, "photons")
+    return photons if np.isfinite(photons).all() and photons.any() else collect_field(flats, "exposure_s")
 
 
-def _drift_scale(level: Level) -> float:
-    """Return what the drift of a level is proportional to: the mean of a flat, 1 for a dark."""
+def _get_drift_scale(level: Level) -> float:
+    """Return what the drift of a level is taken to be proportional to: the mean reading [DN] of a flat, 1 for a dark.
+
+    The mean reading of a flat stands for its light, although it includes the dark offset.
+    """
     return level.mean if level.kind == "flat" else 1.0
 
 
 def read_photons(frame: Frame) -> float:
-    """Return the photons per pixel that the manifest gives for a frame; NaN if it gives none, 0 for a dark.
+    """Return the mean photons per pixel that the manifest gives for a frame; NaN if it gives none, 0 for a dark.
 
     Raises
     ------
@@ -158,7 +174,7 @@ def read_photons(frame: Frame) -> float:
     try:
         photons = float(text)
     except ValueError:
-        photons = -1.0
+        photons = np.nan
     if not (np.isfinite(photons) and photons >= 0):
         raise InputError(f"manifest.csv: {frame.label}: {PHOTONS} is {text!r}; it must be a number, 0 or more")
     return photons
@@ -167,28 +183,36 @@ def read_photons(frame: Frame) -> float:
 def measure_level(
     images: Iterable[np.ndarray], kind: str, exposure_s: float, photons: float, full_scale_dn: float
 ) -> Level:
-    """Return the statistics of the images [rows, columns] of one level, of which two are held in memory.
+    """Return the statistics of the frames of one level, of which two are held in memory.
 
-    Frames form consecutive pairs. The last one of an odd number contributes to the mean only.
+    Frames form consecutive pairs, from which noise and pattern are estimated. The last one of an odd number contributes
+    to the mean only. The error of the mean is the scatter of the means of frames, see `add_common_drift`.
+
+    Parameters
+    ----------
+    images : frames [rows, columns] in DN, at least one; NaN where a pixel is bad.
+    kind, exposure_s, photons : the fields of `Level`.
+    full_scale_dn : reading from which a pixel counts as saturated [DN].
     """
     means, row_variances, patterns = list[float](), list[np.ndarray](), list[PatternVariances]()
     pixels_at_zero = pixels_at_full = pixels = 0
     previous = np.zeros((0, 0))
-    for number, frame in enumerate(images):
+    for index, frame in enumerate(images):
         image = frame.astype(float)
         means.append(float(np.nanmean(image)))
         pixels_at_zero += int(np.count_nonzero(image <= 0))
         pixels_at_full += int(np.count_nonzero(image >= full_scale_dn))
         pixels += int(np.count_nonzero(~np.isnan(image)))
-        if number % 2:
+        if index % 2:
             row_variances.append(estimate_row_variances(previous, image))
             patterns.append(estimate_pattern_variances(previous, image))
         previous = image
     variance = variance_error = mean_error = np.nan
-    pattern = PatternVariances(*[np.nan] * 4)
+    pattern = PatternVariances(*[np.nan] * len(PatternVariances._fields))
     if len(means) > 1:
-        rows = np.concatenate(row_variances)
-        variance, variance_error = float(rows.mean()), float(rows.std(ddof=1) / np.sqrt(max(rows.size, 2)))
+        # Rows of all pairs give independent estimates, whose scatter gives the error.
+        pooled = np.concatenate(row_variances)
+        variance, variance_error = float(pooled.mean()), float(pooled.std(ddof=1) / np.sqrt(max(pooled.size, 2)))
         mean_error = float(np.std(means, ddof=1) / np.sqrt(len(means)))
         pattern = PatternVariances(*np.mean(patterns, axis=0).tolist())
     return Level(
@@ -210,7 +234,7 @@ def measure_level(
 def estimate_row_variances(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the temporal variance [DN²] of each row [row] from two frames [rows, columns] of equal light.
 
-    It is half of the variance of their difference, from which the mean is subtracted since a lamp may drift between
+    It is half of the variance of their difference. The mean difference is subtracted, since a lamp may drift between
     the frames. NaN pixels do not count, and rows without any other pixel are left out.
     """
     difference = first - second
@@ -222,19 +246,24 @@ def estimate_pattern_variances(first: np.ndarray, second: np.ndarray) -> Pattern
     """Return the variances of the fixed pattern from the covariance of two frames [rows, columns] of equal light.
 
     The covariance contains no temporal noise, not even noise of whole rows. Means of columns and rows contain part of
-    the pixel pattern, so the three variances are solved for with s² = s²_col + s²_row + s²_pix. NaN pixels do not
-    count. The split is NaN for frames of a single row or column.
+    the pixel pattern. The variances of columns, rows and pixels are therefore solved for with
+    s² = s²_column + s²_row + s²_pixel. NaN pixels do not count. For frames of a single row or column, and of 2 × 2
+    pixels, all but the total are NaN.
     """
-    a, b = first - np.nanmean(first), second - np.nanmean(second)
-    rows, columns = a.shape
-    total = float(np.nanmean(a * b))
-    column_mean, row_mean = (
-        float(np.nanmean(frames.average_good_pixels(a, axis) * frames.average_good_pixels(b, axis))) for axis in (0, 1)
+    first, second = first - np.nanmean(first), second - np.nanmean(second)
+    rows, columns = first.shape
+    total = float(np.nanmean(first * second))
+    # Covariances of the means of columns (over axis 0) and of rows.
+    column_covariance, row_covariance = (
+        float(np.nanmean(frames.average_good_pixels(first, axis) * frames.average_good_pixels(second, axis)))
+        for axis in (0, 1)
     )
-    degrees = rows * columns - rows - columns
-    if degrees <= 0:
+    pixels = rows * columns
+    # The determinant of the linear equations of the three variances, apart from a factor.
+    scale = pixels - rows - columns
+    if scale <= 0:
         return PatternVariances(total, np.nan, np.nan, np.nan)
-    column = (rows * columns - rows) / degrees * column_mean - columns / degrees * (total - row_mean)
-    row = (rows * columns - columns) / degrees * row_mean - rows / degrees * (total - column_mean)
-    pixel = rows * columns / degrees * (total - column_mean - row_mean)
+    column = (pixels - rows) / scale * column_covariance - columns / scale * (total - row_covariance)
+    row = (pixels - columns) / scale * row_covariance - rows / scale * (total - column_covariance)
+    pixel = pixels / scale * (total - column_covariance - row_covariance)
     return PatternVariances(total, column, row, pixel)

@@ -1,4 +1,7 @@
-"""Straight lines through points with standard errors, as photon transfer needs them."""
+"""Fits of straight lines to points with standard errors, for photon transfer.
+
+Errors are inflated by √(χ²/degrees of freedom) if this exceeds 1: the points then scatter more than their errors say.
+"""
 
 from dataclasses import dataclass
 
@@ -6,7 +9,7 @@ import numpy as np
 
 # Least number of different abscissae from which a line is fitted.
 MIN_POINTS = 3
-# Least standard error of a point [its unit]: smaller ones count as this, which keeps weights finite.
+# Least standard error of a point, in the unit of the point: smaller ones count as this, which keeps weights finite.
 MIN_ERROR = 1e-9
 
 
@@ -21,13 +24,12 @@ class Line:
 
 
 def fit_through_zero(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[float, float]:
-    """Return slope and standard error of the unweighted least-squares line through the origin.
+    """Return slope [y/x] and its standard error of the unweighted least-squares line through the origin.
 
     Parameters
     ----------
-    x, y : coordinates of the points [point].
-    error : standard errors of `y` [point]. The error of the slope is inflated by √χ² per degree of freedom if the
-        residuals are larger than these.
+    x, y : coordinates of the points [point]; not all x may be 0.
+    error : standard errors of `y` [point].
     """
     error = np.maximum(error, MIN_ERROR)
     square = float(x @ x)
@@ -39,30 +41,33 @@ def fit_through_zero(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[f
 
 
 def fit_line(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> Line:
-    """Return the weighted least-squares line through points [point].
+    """Return the weighted least-squares line through points.
 
-    The standard errors follow from `error`, the standard errors of `y`. With three points or more they are inflated by
-    √χ² per degree of freedom if that exceeds 1.
+    Parameters
+    ----------
+    x, y : coordinates of the points [point], with two different x or more.
+    error : standard errors of `y` [point], which also give the weights. With two points no error is inflated.
     """
     error = np.maximum(error, MIN_ERROR)
     (slope, intercept), covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
-    if len(x) > 2:
-        reduced_chi2 = float(np.sum(((y - intercept - slope * x) / error) ** 2)) / (len(x) - 2)
+    degrees = len(x) - 2
+    if degrees > 0:
+        reduced_chi2 = float(np.sum(((y - intercept - slope * x) / error) ** 2)) / degrees
         covariance = covariance * max(reduced_chi2, 1.0)
     slope_error, intercept_error = np.sqrt(np.diag(covariance))
     return Line(float(slope), float(slope_error), float(intercept), float(intercept_error))
 
 
 def extrapolate_to_zero(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[float, float]:
-    """Return y and its standard error at x = 0.
+    """Return y at x = 0 and its standard error.
 
-    This is the intercept of the line if x has three different values or more; otherwise the weighted mean of y at the
-    smallest x. NaN in `x` counts as 0.
+    This is the intercept of `fit_line` if x has three different values or more. Otherwise it is the weighted mean of y
+    at the smallest x. NaN in `x` counts as 0; no value of x is negative. All arrays have the shape [point].
     """
     x = np.nan_to_num(x)
     if len(np.unique(x)) >= MIN_POINTS:
         line = fit_line(x, y, error)
         return line.intercept, line.intercept_error
-    lowest = x == x.min()
-    weight = 1 / np.maximum(error[lowest], MIN_ERROR) ** 2
-    return float(np.average(y[lowest], weights=weight)), float(weight.sum() ** -0.5)
+    is_lowest = x == x.min()
+    weight = 1 / np.maximum(error[is_lowest], MIN_ERROR) ** 2
+    return float(np.average(y[is_lowest], weights=weight)), float(weight.sum() ** -0.5)

@@ -1,12 +1,14 @@
 """Gain and noise floor from differences of neighbouring pixels: an image of a spot without any data sheet is enough.
 
-Let a b / c e be four neighbouring pixels. Their difference d = (a − b − c + e)/2 has the variance of one pixel, and
-light that varies along rows or along columns alone cancels. Curvature is removed with the mean of the nine differences
-around, in which all pixels but four corners cancel. The variance over the grey level L above black is
-floor + K L + (c L)²: read noise and rounding, shot noise, and texture (unlike pixels or speckle of contrast c), which
-is fitted if it is significant. A level is the mean of the same four pixels. It is independent of d: given their sum,
-the variance of Poisson electrons with one mean is that of the sum. Read noise does not depend on the light, so the
-darkest pixels form one bin.
+Let a, b be two neighbouring pixels of a row, and c, e the pixels below them. Their difference d = (a − b − c + e)/2 has
+the variance of one pixel, and light that varies along rows or along columns alone cancels. Curvature is removed with
+the mean of d at the nine places around, in which all pixels but four corners cancel.
+
+A noise curve is the variance of d against the grey level L above black, the mean of the same four pixels. It follows
+floor + K L + (c L)²: read noise and rounding [DN²], shot noise with the gain K [DN/e-], and texture (unlike pixels or
+speckle) of the contrast c, which is fitted if it is significant. L is independent of d: given their sum, the variance
+of Poisson electrons with one mean is that of the sum. Read noise does not depend on the light, so the darkest pixels
+form one bin.
 """
 
 from dataclasses import dataclass
@@ -14,16 +16,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Number of bins. They are uniform in the root of the level, as shot noise is.
+# Side of the square of pixels that a difference needs [px]: 2 × 2 pixels and a rim of one pixel.
+SQUARE_PX = 4
+# Variance of the curvature, relative to that of one pixel: four corners divided by 18.
+CURVATURE_VARIANCE = 1 / 81
+# Number of bins of a noise curve. They are uniform in the root of the level, as shot noise is.
 BINS = 25
 # Least number of differences in a bin: its variance is then known to 15 %.
 MIN_COUNT = 200
-# The noise is complete if the level is this number of standard deviations above 0 and below full scale.
+# The noise is not clipped if the level is this number of standard deviations above 0 and below full scale.
 CUT_AT_SD = 3.5
 # Differences beyond this number of standard deviations are hot pixels or edges (noise: one in 5e8); and the largest
 # number of iterations to find them.
 OUTLIER_SD, MAX_ITERATIONS = 6.0, 6
-# Levels within the first number of DN of the darkest are left out if their noise [DN] is below the second: rounding
+# Levels within the first number of DN above the darkest are left out if their noise [DN] is below the second: rounding
 # then does not add 1/12 DN².
 NEAR_DARK_DN, MIN_NOISE_DN = 5.0, 0.6
 # The darkest level is this quantile of all levels. The first bin extends to this number of standard errors of a level
@@ -32,11 +38,11 @@ DARK_QUANTILE, DARK_SD = 0.05, 5.0
 # Neighbouring differences overlap: the sum of squared correlations is 1 + 4/4 + 4/16, so that n of them determine a
 # variance to √(2 · 2.25/n).
 OVERLAP = 2.25
-# Saturation: the variance of a bin is below this part of what the lower bins predict, by this number of standard
-# errors; it is looked for from this bin on.
+# Saturation: the variance of a bin is below this part of what the lower bins predict, and lower by this number of
+# standard errors; it is looked for from this bin on.
 COLLAPSED_PART, COLLAPSED_SD, FIRST_BIN = 0.6, 5.0, 6
-# Texture is fitted if it is significant by this number of standard errors, since its term doubles the error of the
-# gain. ASSUME: it follows (c L)² to this part of itself.
+# Texture is fitted if c² exceeds this number of standard errors, since its term doubles the error of the gain. ASSUME:
+# the variance of texture follows (c L)² up to this part of itself.
 TEXTURE_SD, TEXTURE_ERROR = 5.0, 0.01
 # A gain is significant from this number of standard errors on.
 MIN_GAIN_SD = 3.0
@@ -44,11 +50,13 @@ MIN_GAIN_SD = 3.0
 MIN_BINS = 5
 # Half-width of the interval of the gain in standard errors.
 INTERVAL_SD = 2.0
-# Least error of a bin [DN²], and least variance [DN²] that scales its relative error.
+# Error that is added to that of each bin [DN²], and least variance [DN²] that scales its relative error.
 BIN_ERROR, MIN_VARIANCE = 1e-3, 1e-3
-# Correlation of differences: largest lag [px], least deviation from white noise that counts, and least deviation
-# between next neighbours that makes differences useless as a measure of noise.
-MAX_LAG, MIN_DEVIATION, MAX_DEVIATION = 16, 0.06, 0.15
+# Number of fits of a curve, each with errors relative to the previous fit.
+FITS = 4
+# Correlation of differences: largest lag [px]; least deviation from white noise that counts, to which this number of
+# standard errors is added; and least deviation at lag 1 that makes differences useless as a measure of noise.
+MAX_LAG, MIN_DEVIATION, DEVIATION_SD, MAX_DEVIATION = 16, 0.06, 3, 0.15
 # Correlation of neighbouring differences of white noise.
 WHITE_CORRELATION = -0.5
 
@@ -69,56 +77,55 @@ class GainEstimate:
     gain_stderr: float  # standard error of the gain [DN/e-]
     floor: float  # variance without light: read noise and rounding [DN²]
     floor_stderr: float  # standard error of the floor [DN²]
-    low: float  # lower end of the 95 % interval of the gain [DN/e-], which allows for undetected texture
+    low: float  # lower end of the 95 % interval of the gain [DN/e-], which allows for undetected texture; 0 or more
 
 
 class PixelDifferences(NamedTuple):
-    """Differences of four neighbouring pixels, NaN at gaps of the image."""
+    """Differences of four neighbouring pixels, NaN beside NaN pixels; empty for images of less than 4 × 4 pixels."""
 
     level: np.ndarray  # mean of the four pixels [DN], [row, column]
-    difference: np.ndarray  # difference with the variance of one pixel [DN], [row, column]
+    difference: np.ndarray  # difference without curvature, with the variance of one pixel [DN], [row, column]
 
 
 class NoiseCorrelation(NamedTuple):
     """Correlation of the noise of neighbouring pixels."""
 
     range_px: int  # largest distance with a correlation other than that of white noise [px]; 0 if there is none
-    is_white: bool  # whether differences of next neighbours measure the noise of single pixels all the same
+    is_white: bool  # whether differences of neighbours measure the noise of single pixels in spite of the correlation
 
 
 class _Bin(NamedTuple):
     """Differences of one bin of level, without outliers."""
 
-    level: float  # mean level of all pixels of the bin [DN]
-    variance: float  # [DN²]
+    level: float  # mean level of the bin, with outliers [DN]
+    variance: float  # mean square of the differences [DN²]
     stderr: float  # standard error of the variance [DN²]
-    members: np.ndarray  # indices of the differences in the flat image
+    indices: np.ndarray  # indices of the differences in the flattened `PixelDifferences`
 
 
 class _CurveFit(NamedTuple):
-    """Terms floor, K and c² of a noise curve."""
+    """Terms floor [DN²], K [DN/e-] and c² of a noise curve; a fit of two terms lacks c²."""
 
-    value: np.ndarray  # [term]
-    covariance: np.ndarray  # [term, term]
+    value: np.ndarray  # values of the terms [term]
+    covariance: np.ndarray  # covariance of the values [term, term]
 
 
 def compute_differences(image: np.ndarray) -> PixelDifferences:
-    """Return the differences of all groups of four pixels of an image [rows, columns] with a rim of one pixel."""
+    """Return the differences of all 2 × 2 pixels of an image [rows, columns] in DN that have a rim of one pixel."""
     image = np.asarray(image, float)
-    if min(image.shape) < 4:
+    if min(image.shape) < SQUARE_PX:
         return PixelDifferences(np.empty((0, 0)), np.empty((0, 0)))
     a, b, c, e = image[1:-2, 1:-2], image[1:-2, 2:-1], image[2:-1, 1:-2], image[2:-1, 2:-1]
-    # The mean of the nine differences around is that of the four corners of the rim. It measures curvature with 1/81
-    # of the variance.
+    # The mean of the nine differences around is the difference of the four corners of the rim, divided by nine.
     curvature = (image[:-3, :-3] - image[:-3, 3:] - image[3:, :-3] + image[3:, 3:]) / 18
-    return PixelDifferences((a + b + c + e) / 4, ((a - b - c + e) / 2 - curvature) / np.sqrt(1 + 1 / 81))
+    return PixelDifferences((a + b + c + e) / 4, ((a - b - c + e) / 2 - curvature) / np.sqrt(1 + CURVATURE_VARIANCE))
 
 
 def measure_noise_curve(image: np.ndarray, full_scale_dn: float) -> NoiseCurve:
-    """Return noise against level of one image [rows, columns] in DN.
+    """Return noise against level of one image [rows, columns] in DN; levels include the black level.
 
-    Levels near 0, near `full_scale_dn` and above a saturation are left out, as are pixels beside NaN. The curve may be
-    empty.
+    Levels near 0, near `full_scale_dn` [DN] and above a saturation are left out, as are pixels beside NaN. The curve
+    may be empty.
     """
     bins = _sort_into_bins(compute_differences(image), full_scale_dn)
     rows = [(level_bin.level, level_bin.variance, level_bin.stderr) for level_bin in bins]
@@ -126,41 +133,48 @@ def measure_noise_curve(image: np.ndarray, full_scale_dn: float) -> NoiseCurve:
 
 
 def _sort_into_bins(differences: PixelDifferences, full_scale_dn: float) -> list[_Bin]:
-    """Return the bins with complete noise, from the darkest on."""
+    """Return the bins whose noise is not clipped at 0 or at `full_scale_dn` [DN], from the darkest on.
+
+    Bins of fewer than `MIN_COUNT` differences are left out; the list is empty if the image has too few pixels.
+    """
     level, difference = differences.level.ravel(), differences.difference.ravel()
-    known = np.flatnonzero(np.isfinite(difference))
-    if known.size < 2 * MIN_COUNT:
+    indices = np.flatnonzero(np.isfinite(difference))
+    if indices.size < 2 * MIN_COUNT:
         return []
-    ordered = np.sort(level[known])
-    dark, low, top = np.quantile(ordered, DARK_QUANTILE), ordered[0], ordered[-MIN_COUNT]
-    near_dark = known[level[known] < dark + NEAR_DARK_DN]
+    ordered = np.sort(level[indices])
+    dark, lowest, highest = np.quantile(ordered, DARK_QUANTILE), ordered[0], ordered[-MIN_COUNT]
+    near_dark = indices[level[indices] < dark + NEAR_DARK_DN]
     noise = float(np.sqrt(_trim_outliers(difference[near_dark])[0])) if near_dark.size else 0.0
     if near_dark.size < MIN_COUNT or noise < MIN_NOISE_DN:
-        low = dark + NEAR_DARK_DN
-    # A level is the mean of four pixels, so its standard error is half of the noise.
-    first = max(low, dark + DARK_SD * noise / 2)
-    if top <= first:
+        lowest = dark + NEAR_DARK_DN
+    # The first bin ends above all pixels without light. A level is the mean of four pixels, so its standard error is
+    # half of the noise.
+    first_end = max(lowest, dark + DARK_SD * noise / 2)
+    if highest <= first_end:
         return []
-    edges = np.concatenate([[low], first + (top - first) * np.linspace(0, 1, BINS) ** 2])
-    known = known[(level[known] >= low) & (level[known] <= top)]
-    number = np.minimum(np.searchsorted(edges, level[known], side="right") - 1, BINS - 1)
+    edges = np.concatenate([[lowest], first_end + (highest - first_end) * np.linspace(0, 1, BINS) ** 2])
+    indices = indices[(level[indices] >= lowest) & (level[indices] <= highest)]
+    bin_numbers = np.minimum(np.searchsorted(edges, level[indices], side="right") - 1, BINS - 1)
     bins = []
-    for k in range(BINS):
-        members = known[number == k]
-        if members.size < MIN_COUNT:
+    for bin_number in range(BINS):
+        in_bin = indices[bin_numbers == bin_number]
+        if in_bin.size < MIN_COUNT:
             continue
-        variance, is_inlier = _trim_outliers(difference[members])
-        mean_level, margin = float(level[members].mean()), CUT_AT_SD * np.sqrt(variance)
+        variance, is_inlier = _trim_outliers(difference[in_bin])
+        mean_level, margin = float(level[in_bin].mean()), CUT_AT_SD * np.sqrt(variance)
         # Clipped noise rejects a whole bin: a choice among its differences would depend on their noise.
         if variance == 0 or mean_level < margin or mean_level > full_scale_dn - margin:
             continue
-        error = variance * np.sqrt(2 * OVERLAP / members.size) + BIN_ERROR
-        bins.append(_Bin(mean_level, variance, error, members[is_inlier]))
+        error = variance * np.sqrt(2 * OVERLAP / in_bin.size) + BIN_ERROR
+        bins.append(_Bin(mean_level, variance, error, in_bin[is_inlier]))
     return bins
 
 
 def _trim_outliers(difference: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the mean square of differences without outliers, and a mask of those that are none."""
+    """Return the mean square of differences [DN²] without outliers, and a mask of inliers [difference].
+
+    Differences beyond `OUTLIER_SD` of the inliers are outliers, found by iteration.
+    """
     is_inlier = np.ones(difference.size, bool)
     square = difference**2
     for _ in range(MAX_ITERATIONS):
@@ -172,45 +186,54 @@ def _trim_outliers(difference: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _cut_at_saturation(curve: NoiseCurve) -> NoiseCurve:
-    """Return a curve without the levels from which its noise collapses, and without the last level below, of which a
-    part may be saturated."""
-    for k in range(FIRST_BIN, curve.level.size):
-        below = NoiseCurve(*(part[:k] for part in curve))
+    """Return a curve without the saturated levels, at which its noise collapses.
+
+    The last level before them is left out as well, since some of its pixels may be saturated.
+    """
+    for index in range(FIRST_BIN, curve.level.size):
+        below = NoiseCurve(*(column[:index] for column in curve))
         floor, gain = _fit_curve(below, curve.level[0], 2).value
-        expected = max(floor + gain * (curve.level[k] - curve.level[0]), below.variance.max())
-        error = curve.stderr[k] / curve.variance[k] * expected
-        deficit = expected - curve.variance[k]
-        if curve.variance[k] < COLLAPSED_PART * expected and deficit > COLLAPSED_SD * error:
-            return NoiseCurve(*(part[: k - 1] for part in curve))
+        expected = max(floor + gain * (curve.level[index] - curve.level[0]), below.variance.max())
+        error = curve.stderr[index] / curve.variance[index] * expected
+        deficit = expected - curve.variance[index]
+        if curve.variance[index] < COLLAPSED_PART * expected and deficit > COLLAPSED_SD * error:
+            return NoiseCurve(*(column[: index - 1] for column in curve))
     return curve
 
 
 def _fit_curve(curve: NoiseCurve, black_dn: float, terms: int) -> _CurveFit:
-    """Return the first terms of a noise curve by weighted least squares.
+    """Return the first `terms` (2 or 3) of floor, K and c² of a noise curve by weighted least squares.
 
-    The covariance is inflated by χ² per degree of freedom if that exceeds 1.
+    `black_dn` is the level [DN] from which L is counted. The covariance is inflated by χ² per degree of freedom if that
+    exceeds 1.
     """
     level = curve.level - black_dn
     design = np.stack([np.ones_like(level), level, level**2], axis=1)[:, :terms]
     # Errors are relative to the fitted curve: relative to the data, a bin that is low by chance would have more weight.
-    relative_error, fitted = curve.stderr / curve.variance, curve.variance
-    for _ in range(4):
-        error = relative_error * np.maximum(fitted, MIN_VARIANCE)
-        weighted, target = design / error[:, None], curve.variance / error
-        coefficients, *_ = np.linalg.lstsq(weighted, target, rcond=None)
-        fitted = design @ coefficients
-    residual = weighted @ coefficients - target
+    relative_error, fitted_variance = curve.stderr / curve.variance, curve.variance
+    for _ in range(FITS):
+        error = relative_error * np.maximum(fitted_variance, MIN_VARIANCE)
+        weighted_design, weighted_variance = design / error[:, None], curve.variance / error
+        coefficients, *_ = np.linalg.lstsq(weighted_design, weighted_variance, rcond=None)
+        fitted_variance = design @ coefficients
+    residual = weighted_design @ coefficients - weighted_variance
     inflation = max(1.0, float(residual @ residual) / max(level.size - terms, 1))
-    return _CurveFit(coefficients, np.linalg.pinv(weighted.T @ weighted) * inflation)
+    return _CurveFit(coefficients, np.linalg.pinv(weighted_design.T @ weighted_design) * inflation)
 
 
 def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
-    """Return gain and noise floor of a noise curve from a fit of floor + K L + (c L)²; None without a significant gain.
+    """Return gain and noise floor of a noise curve from a fit of floor + K L + (c L)².
 
     Parameters
     ----------
     curve : noise against level.
     black_dn : black level [DN], from which L is counted.
+
+    Returns
+    -------
+    GainEstimate or None
+        None if the curve has fewer than `MIN_BINS` levels, or the gain is not significant. The term (c L)² is part of
+        the fit only if it is significant.
     """
     if curve.level.size < MIN_BINS:
         return None
@@ -218,11 +241,12 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
     texture = textured.value[2]
     has_texture = texture > TEXTURE_SD * np.sqrt(textured.covariance[2, 2])
     fit = textured if has_texture else linear
-    # A texture that deviates from its law counts as gain.
+    # A deviation of the texture's variance from (c L)² looks like gain: `TEXTURE_ERROR` c² L at the mean level.
     deviation = TEXTURE_ERROR * abs(texture) * float(np.mean(curve.level - black_dn)) if has_texture else 0.0
     gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), deviation))
     if not gain > MIN_GAIN_SD * error:
         return None
+    # The lower end of both fits, since texture that is not significant lowers the gain as well.
     textured_error = float(np.hypot(np.sqrt(textured.covariance[1, 1]), deviation))
     low = min(float(textured.value[1]) - INTERVAL_SD * textured_error, gain - INTERVAL_SD * error)
     floor, floor_error = float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0]))
@@ -232,26 +256,28 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
 def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseCorrelation:
     """Return how far the noise of an image [rows, columns] in DN is correlated, as by compression or fine grain.
 
-    Neighbouring differences of white noise have the correlation −1/2, more distant ones 0. Too few pixels count as
-    white noise.
+    Neighbouring differences of white noise have the correlation −1/2, more distant ones 0. With too few pixels the
+    noise counts as white. `full_scale_dn` is the largest possible reading [DN].
     """
     differences = compute_differences(image)
-    unit = np.full(differences.difference.size, np.nan)
+    # Differences relative to the noise of their level; NaN in clipped levels and for outliers.
+    normalized = np.full(differences.difference.size, np.nan)
     for level_bin in _sort_into_bins(differences, full_scale_dn):
-        unit[level_bin.members] = differences.difference.ravel()[level_bin.members] / np.sqrt(level_bin.variance)
-    if np.isfinite(unit).sum() < 2 * MIN_COUNT:
+        normalized[level_bin.indices] = differences.difference.ravel()[level_bin.indices] / np.sqrt(level_bin.variance)
+    if np.isfinite(normalized).sum() < 2 * MIN_COUNT:
         return NoiseCorrelation(0, True)
-    normalized = unit.reshape(differences.difference.shape)
+    normalized_image = normalized.reshape(differences.difference.shape)
     range_px, is_white = 0, True
-    for lines in (normalized, normalized.T):
+    # Neighbours down a column, then, in the transposed image, along a row.
+    for lines in (normalized_image, normalized_image.T):
         for lag in range(1, min(MAX_LAG, len(lines) - 1) + 1):
             product = lines[:-lag] * lines[lag:]
             product = product[np.isfinite(product)]
             if product.size < MIN_COUNT:
                 break
             deviation = abs(float(product.mean()) - (WHITE_CORRELATION if lag == 1 else 0.0))
-            # Three standard errors of a mean of products of white differences, which overlap.
-            if deviation > MIN_DEVIATION + 3 * np.sqrt(OVERLAP / product.size):
+            # The second term is the standard error of a mean of products of white differences, which overlap.
+            if deviation > MIN_DEVIATION + DEVIATION_SD * np.sqrt(OVERLAP / product.size):
                 range_px = max(range_px, lag)
                 is_white &= lag > 1 or deviation < MAX_DEVIATION
     return NoiseCorrelation(range_px, bool(is_white))

@@ -1,6 +1,8 @@
 """Photon transfer: gain and all other quantities of EMVA 1288 from levels of flats and darks.
 
-The analysis follows EMVA 1288 Release 4.0 Linear. Each quantity has a standard error, or the reason why it is unknown.
+Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
+exposure. The gain is the slope of the temporal variance of the flats over their mean, both less those of a dark. The
+analysis follows EMVA 1288 Release 4.0 Linear. Each quantity has a standard error, or the reason why it is unknown.
 """
 
 from collections.abc import Sequence
@@ -10,22 +12,18 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from spotcheck.characterization.contradictions import check_levels
-from spotcheck.characterization.derived_quantities import (
-    set_dark_electrons,
-    set_dark_quantities,
-    set_light_quantities,
-)
+from spotcheck.characterization.derived_quantities import set_dark_electrons, set_dark_quantities, set_light_quantities
 from spotcheck.characterization.emva_quantities import QUANTITIES, QuantityTable
-from spotcheck.characterization.levels import Level, collect, measure_light
+from spotcheck.characterization.levels import Level, collect_field, measure_light
 from spotcheck.characterization.line_fits import MIN_POINTS, fit_line, fit_through_zero
 
 # Largest signal of the levels to which the gain is fitted, as a part of saturation (section 8.2).
 MAX_GAIN_SIGNAL = 0.7
-# Darks above the line through all of them by more than this part of full scale hold light.
+# A dark contains light if it is above the line through all darks by more than this part of full scale.
 MAX_STRAY_LIGHT = 1e-3
-# Noise that grows up to a brightest flat of which less than this part of the pixels is clipped shows no saturation.
-MAX_CLIPPED_PART = 1e-3
-# Parts of saturation up to which gain and intercept are compared.
+# If the noise is largest at the brightest flat, this flat is at saturation only if this part of its pixels is clipped.
+MIN_CLIPPED_PART = 1e-3
+# Largest signals of the ranges whose gains and intercepts are compared, as parts of saturation.
 RANGE_LIMITS = (0.1, 0.2, 0.3, 0.5, 0.7, 0.9, 1.0)
 # A gain is significant from this number of standard errors on.
 MIN_SIGNIFICANCE = 3.0
@@ -40,12 +38,12 @@ ALL_SATURATED = "every flat is saturated"
 class Transfer:
     """Photon transfer of flats and darks."""
 
-    flats: list[Level]  # levels of light with two frames or more, by mean
+    flats: list[Level]  # flat levels of two frames or more, by mean
     darks: list[Level]  # dark levels without stray light, by exposure
-    signal: np.ndarray  # mean of a flat over that of its dark [DN], [flat]; empty without darks in pairs
-    excess: np.ndarray  # temporal variance of a flat over that of its dark [DN²], [flat]; empty like `signal`
-    excess_error: np.ndarray  # standard error of the excess variance [DN²], [flat]
-    fitted: np.ndarray  # True for the flats to which the gain was fitted [flat]
+    signal: np.ndarray  # mean of a flat less that of its dark [DN], [flat]; empty if no dark has two frames
+    excess: np.ndarray  # temporal variance of a flat less that of its dark [DN²], [flat]; empty like `signal`
+    excess_error: np.ndarray  # standard error of the excess variance [DN²], [flat]; empty like `signal`
+    is_in_gain_fit: np.ndarray  # True for the flats to which the gain was fitted [flat]; empty like `signal`
     saturation: int | None  # index of the flat at saturation; None if no flat shows it
     quantities: QuantityTable  # all quantities, in the order of `QUANTITIES`
     remarks: list[str]  # sentences on what could not be used
@@ -57,16 +55,16 @@ class RangeFit:
 
     limit: float  # largest signal, as a part of saturation
     levels: int  # number of levels
-    gain: float  # [DN/e-]
+    gain: float  # gain from these levels [DN/e-]
     gain_error: float  # standard error of the gain [DN/e-]
-    intercept: float  # intercept of signal against light [DN]
+    intercept: float  # signal at no light, by the straight line of signal over light [DN]
     intercept_error: float  # standard error of the intercept [DN]
 
 
 def analyse_photon_transfer(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     """Return the photon transfer of levels of flats and darks.
 
-    Quantities that rest on contradictory levels are unknown, and a remark names the contradiction.
+    Quantities that depend on contradictory levels are unknown, and a remark names the contradiction.
 
     Parameters
     ----------
@@ -82,7 +80,10 @@ def analyse_photon_transfer(levels: Sequence[Level], full_scale_dn: float) -> Tr
 
 
 def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
-    """Return the photon transfer of levels that are taken to be what the manifest says."""
+    """Return the photon transfer of levels without a check of exposures and photon numbers for contradictions.
+
+    All quantities are in its table, in any order. If the gain cannot be determined, those that need it are unknown.
+    """
     remarks: list[str] = []
     darks = _select_darks([level for level in levels if level.kind == "dark"], full_scale_dn, remarks)
     flats = _select_flats([level for level in levels if level.kind == "flat"], remarks)
@@ -93,12 +94,12 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
         quantities.fill_unknown("there are no flats in pairs" if not flats else "there are no dark frames in pairs")
         empty = np.zeros(0)
         return Transfer(flats, darks, empty, empty, empty, empty.astype(bool), None, quantities, remarks)
+    # Signal and excess variance of each flat over the dark of the nearest exposure.
     paired_darks = [_find_nearest_dark(noisy_darks, flat.exposure_s) for flat in flats]
     pairs = list(zip(flats, paired_darks, strict=True))
     signal = np.array([flat.mean - dark.mean for flat, dark in pairs])
     excess = np.array([flat.variance - dark.variance for flat, dark in pairs])
-    error = np.array([np.hypot(flat.variance_error, dark.variance_error) for flat, dark in pairs])
-    error = np.maximum(error, MIN_VARIANCE_ERROR)
+    error = np.maximum([np.hypot(flat.variance_error, dark.variance_error) for flat, dark in pairs], MIN_VARIANCE_ERROR)
     no_flat = np.zeros(len(flats), bool)
     transfer = Transfer(flats, darks, signal, excess, error, no_flat, None, quantities, remarks)
     if all(flat.is_saturated for flat in flats):
@@ -110,96 +111,106 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
         return transfer
     # Saturation is where the temporal noise is largest (section 8.3).
     noisiest = int(np.argmax(excess))
-    is_saturated = noisiest < len(flats) - 1 or flats[noisiest].at_full >= MAX_CLIPPED_PART
-    fitted = (signal > 0) & (np.arange(len(flats)) <= noisiest)
+    is_saturated = noisiest < len(flats) - 1 or flats[noisiest].at_full >= MIN_CLIPPED_PART
+    is_in_gain_fit = (signal > 0) & (np.arange(len(flats)) <= noisiest)
     if is_saturated:
-        fitted &= signal <= MAX_GAIN_SIGNAL * signal[noisiest]
+        is_in_gain_fit &= signal <= MAX_GAIN_SIGNAL * signal[noisiest]
+        transfer = replace(transfer, saturation=noisiest)
     else:
         remarks.append("the noise still grows at the brightest flat: saturation lies above it")
-    saturation = noisiest if is_saturated else None
-    if not fitted.any():
-        is_lit = (signal > 0).any()
-        quantities.fill_unknown(f"no flat lies {'below 70 % of saturation' if is_lit else 'above its dark'}")
-        return replace(transfer, saturation=saturation)
-    errors = _include_shared_dark(signal, error, fitted, paired_darks)
-    gain, gain_error = fit_through_zero(signal[fitted], excess[fitted], errors)
+    if not is_in_gain_fit.any():
+        has_signal = (signal > 0).any()
+        quantities.fill_unknown(f"no flat lies {'below 70 % of saturation' if has_signal else 'above its dark'}")
+        return transfer
+    # Fit of the gain: excess variance = K signal.
+    fit_error = _include_shared_dark(signal, error, is_in_gain_fit, paired_darks)
+    gain, gain_error = fit_through_zero(signal[is_in_gain_fit], excess[is_in_gain_fit], fit_error)
     if not gain > MIN_SIGNIFICANCE * gain_error:
         quantities.fill_unknown(NO_SHOT_NOISE)
-        return transfer
+        # Noise that does not grow with the light shows no saturation either.
+        return replace(transfer, saturation=None)
     quantities.set("gain", gain, gain_error)
     set_dark_electrons(quantities, noisy_darks)
-    set_light_quantities(quantities, flats, paired_darks, signal, fitted, noisiest, is_saturated)
-    return replace(transfer, fitted=fitted, saturation=saturation)
+    set_light_quantities(quantities, flats, paired_darks, signal, is_in_gain_fit, noisiest, is_saturated)
+    return replace(transfer, is_in_gain_fit=is_in_gain_fit)
 
 
 def _select_darks(darks: list[Level], full_scale_dn: float, remarks: list[str]) -> list[Level]:
-    """Return the dark levels without stray light, by exposure, and append a remark on the others.
+    """Return the dark levels without stray light, by exposure, and append a remark on the others to `remarks`.
 
-    At least half of the levels must be dark. A line in exposure describes them: median of all slopes, then median of
-    the offsets, which fewer than a third of outliers do not shift (Theil 1950, Sen 1968).
+    A line describes the mean reading over exposure: its slope is the median of the slopes of all pairs of levels
+    (Theil 1950, Sen 1968), its intercept the median of the offsets. Outliers do not shift it if they are fewer than a
+    third of the levels. Two levels or one are all kept, since no outlier can be found among them.
     """
     darks = sorted(darks, key=lambda dark: dark.exposure_s)
     if len(darks) < MIN_POINTS:
         return darks
-    exposure_s, mean = np.nan_to_num(collect(darks, "exposure_s")), collect(darks, "mean")
+    exposure_s, mean = np.nan_to_num(collect_field(darks, "exposure_s")), collect_field(darks, "mean")
     offset = mean - (theilslopes(mean, exposure_s).slope if np.ptp(exposure_s) else 0.0) * exposure_s
     is_dark = offset <= np.median(offset) + MAX_STRAY_LIGHT * full_scale_dn
     if not is_dark.all():
         remarks.append(f"{np.count_nonzero(~is_dark)} of {len(darks)} dark levels hold light and are left out")
-    return [dark for dark, use in zip(darks, is_dark, strict=True) if use]
+    return [dark for dark, is_kept in zip(darks, is_dark, strict=True) if is_kept]
 
 
 def _select_flats(flats: list[Level], remarks: list[str]) -> list[Level]:
-    """Return the levels of light with two frames or more, by mean, and append a remark on the others."""
-    noisy = [flat for flat in flats if flat.frames > 1]
-    single = len(flats) - len(noisy)
+    """Return the flat levels of two frames or more, by mean, and append a remark on the others to `remarks`."""
+    noisy_flats = [flat for flat in flats if flat.frames > 1]
+    single = len(flats) - len(noisy_flats)
     if single:
         remarks.append(
             f"{single} flat level{'s have' if single > 1 else ' has'} a single frame, and noise needs two of one light"
         )
-    return sorted(noisy, key=lambda flat: flat.mean)
+    return sorted(noisy_flats, key=lambda flat: flat.mean)
 
 
 def _find_nearest_dark(darks: Sequence[Level], exposure_s: float) -> Level:
-    """Return the dark level with the nearest exposure; unknown exposures count as 0."""
+    """Return the dark level with the exposure nearest to `exposure_s` [s]; unknown exposures (NaN) count as 0."""
     return min(darks, key=lambda dark: abs(np.nan_to_num(dark.exposure_s) - np.nan_to_num(exposure_s)))
 
 
 def _include_shared_dark(
-    signal: np.ndarray, error: np.ndarray, fitted: np.ndarray, darks: Sequence[Level]
+    signal: np.ndarray, error: np.ndarray, is_in_gain_fit: np.ndarray, darks: Sequence[Level]
 ) -> np.ndarray:
-    """Return errors of the fitted points [DN²] that give a gain through 0 its correct error if all share one dark.
+    """Return standard errors [DN²] of the fitted points that include the correlation by a dark which all share.
 
-    A shared dark moves all points together: (Σx)² s² in the variance of the slope, which is spread over the points as
-    independent errors of the same effect, Σ x² extra².
+    The error s of the variance of a shared dark moves all points together. In the numerator Σ x y of the slope through
+    the origin, this adds the variance s² (Σ x)². Independent errors e of all points add e² Σ x², so that
+    e² = s² (Σ x)²/Σ x² has the same effect. The errors are unchanged if the points have different darks.
+
+    Parameters
+    ----------
+    signal, error : signal x [DN] and standard error of the excess variance [DN²] of each flat [flat].
+    is_in_gain_fit : True for the flats to which the gain is fitted [flat].
+    darks : dark level of each flat [flat].
     """
-    used = [dark for dark, use in zip(darks, fitted, strict=True) if use]
-    if len({id(dark) for dark in used}) > 1 or len(used) < 2:
-        return error[fitted]
-    x, shared = signal[fitted], used[0].variance_error
-    independent = np.maximum(error[fitted] ** 2 - shared**2, 0.0)
-    return np.sqrt(independent + shared**2 * x.sum() ** 2 / (x @ x))
+    used_darks = [dark for dark, is_used in zip(darks, is_in_gain_fit, strict=True) if is_used]
+    if len({id(dark) for dark in used_darks}) > 1 or len(used_darks) < 2:
+        return error[is_in_gain_fit]
+    x, shared_error = signal[is_in_gain_fit], used_darks[0].variance_error
+    independent_variance = np.maximum(error[is_in_gain_fit] ** 2 - shared_error**2, 0.0)
+    return np.sqrt(independent_variance + shared_error**2 * x.sum() ** 2 / (x @ x))
 
 
 def fit_ranges(transfer: Transfer) -> list[RangeFit]:
     """Return gain and response line of the levels up to each of `RANGE_LIMITS`.
 
-    They are the same in all ranges if the sensor is linear. Ranges of fewer than three levels are left out; the list is
-    empty if no flat shows saturation.
+    They are the same in all ranges if the sensor is linear. Ranges of fewer than three levels are left out. The list is
+    empty if no flat shows saturation or no gain was found.
     """
-    if transfer.saturation is None or not transfer.fitted.any():
+    if transfer.saturation is None or not transfer.is_in_gain_fit.any():
         return []
-    light, errors = measure_light(transfer.flats), collect(transfer.flats, "mean_error")
-    is_below = (transfer.signal > 0) & (np.arange(len(transfer.flats)) <= transfer.saturation)
+    light, signal_error = measure_light(transfer.flats), collect_field(transfer.flats, "mean_error")
+    is_unsaturated = (transfer.signal > 0) & (np.arange(len(transfer.flats)) <= transfer.saturation)
     ranges = []
     for limit in RANGE_LIMITS:
-        use = is_below & (transfer.signal <= limit * transfer.signal[transfer.saturation])
-        count = int(np.count_nonzero(use))
-        if len(np.unique(light[use])) < MIN_POINTS:
+        is_in_range = is_unsaturated & (transfer.signal <= limit * transfer.signal[transfer.saturation])
+        if len(np.unique(light[is_in_range])) < MIN_POINTS:
             continue
-        signal = transfer.signal[use]
-        gain, gain_error = fit_through_zero(signal, transfer.excess[use], transfer.excess_error[use])
+        signal = transfer.signal[is_in_range]
+        gain, gain_error = fit_through_zero(signal, transfer.excess[is_in_range], transfer.excess_error[is_in_range])
         # All levels have the same weight, as in linear regression: individual weights would hide curvature.
-        line = fit_line(light[use], signal, np.full(count, float(np.mean(errors[use]))))
-        ranges.append(RangeFit(limit, count, gain, gain_error, line.intercept, line.intercept_error))
+        mean_error = np.full(len(signal), float(np.mean(signal_error[is_in_range])))
+        line = fit_line(light[is_in_range], signal, mean_error)
+        ranges.append(RangeFit(limit, len(signal), gain, gain_error, line.intercept, line.intercept_error))
     return ranges

@@ -1,12 +1,13 @@
 """Maps of offset and gain of a sensor's pixels from its darks and flats, with their standard errors.
 
-The frames of each level are assigned alternately to two halves. The halves share the pattern of the sensor but no
-noise, so their covariance is the variance of the pattern, and their difference is the noise. Each pixel is then shrunk
-towards the mean of all pixels by the part of its variance that is noise (Wiener filter): maps from few frames add no
-noise if the pixels are alike.
+Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
+exposure. The frames of each level are assigned alternately to two halves. The halves share the pattern of the sensor
+but no noise, so their covariance is the variance of the pattern, and their difference is the noise. Each pixel is then
+shrunk towards the mean of all pixels by the part of its variance that is noise (Wiener filter): maps from few frames
+add no noise if the pixels are alike.
 
-# ASSUME: offsets are linear in exposure (dark current), and all have the same noise. The unevenness of the light of
-flats is a polynomial of the fourth degree over the frame; finer structure is of the sensor.
+# ASSUME: offsets are linear in exposure (dark current), and the noise is the same in all pixels. The unevenness of the
+light of flats is a polynomial of the fourth degree over the frame; finer structure is that of the sensor.
 """
 
 from dataclasses import dataclass, replace
@@ -22,13 +23,18 @@ from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.sensor.pixel_maps import PixelMaps
 
-# Flats that exceed this part of full scale may be nonlinear or clipped.
-MAX_FLAT_LEVEL = 0.7
-# A pixel that deviates from the mean by this number of standard deviations, as hot ones do, is not shrunk.
-OUTLIER_SD = 6.0
-# Degree of the polynomial for the unevenness of light, and number of blocks per side to which it is fitted.
+# Flats are used if this quantile of their readings is below this part of full scale: brighter ones may be nonlinear or
+# clipped.
+FLAT_QUANTILE, MAX_FLAT_LEVEL = 0.999, 0.7
+# Least sum of squares of exposures [s²] in a divisor.
+MIN_SQUARE_S2 = 1e-300
+# A pixel that deviates from the mean by this number of standard deviations, as hot ones do, is not shrunk. A standard
+# deviation is this multiple of the median absolute deviation, as in a normal distribution.
+OUTLIER_SD, MAD_TO_SIGMA = 6.0, 1.4826
+# Degree of the polynomial for the unevenness of light, and number of blocks along the shorter side to which it is
+# fitted.
 DEGREE, BLOCKS = 4, 32
-# Degrees (j, k) in y and x of its terms.
+# Degrees (j, k) in y and x of the terms of the polynomial.
 TERMS = [(j, k) for j in range(DEGREE + 1) for k in range(DEGREE + 1 - j)]
 
 # Map → (unit, meaning).
@@ -40,7 +46,7 @@ MAPS = {
 
 
 class MapEstimate(NamedTuple):
-    """A map of deviations of the pixels from their mean."""
+    """A map of deviations of the pixels from their mean, in the unit that `MAPS` gives for the map."""
 
     values: np.ndarray  # deviation of each pixel [rows, columns]; NaN if unknown
     stderr: float  # standard error of the deviation of one pixel
@@ -51,7 +57,7 @@ class MapEstimate(NamedTuple):
 class SensorMaps:
     """Maps of the pixels of a sensor."""
 
-    offset: MapEstimate  # offset at `exposure_s` [DN]
+    offset: MapEstimate  # offset of each pixel from the mean of all, at `exposure_s` [DN]
     slope: MapEstimate | None  # derivative of the offset by exposure [DN/s]; None without different exposures
     exposure_s: float  # mean exposure of the darks [s]; NaN if unknown
     gain: MapEstimate | None  # relative gain less 1; None without usable flats
@@ -59,7 +65,7 @@ class SensorMaps:
     flats: int  # number of flats used
 
     def at(self, exposure_s: float | None) -> PixelMaps:
-        """Return the maps at an exposure [s]; at that of the darks if it is None."""
+        """Return offsets and relative gains of the pixels at an exposure [s]; at that of the darks if it is None."""
         offset, variance = self.offset.values, self.offset.stderr**2
         difference_s = 0.0 if exposure_s is None else exposure_s - self.exposure_s
         if self.slope is not None and np.isfinite(difference_s):
@@ -72,16 +78,18 @@ class SensorMaps:
 
 
 def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
-    """Return the maps from darks and flats of a dataset, or the reason why there are none.
+    """Return the maps from darks and flats of a dataset, or the reason why there are none, as a clause.
 
     Frames are read one at a time. `full_scale_dn` is the largest reading of the converter [DN].
     """
     halves = _split_in_halves(dataset, "dark")
     if not halves[0]:
         return "there are no two darks of one exposure"
-    exposures = np.array([np.nan if frame.exposure_s is None else frame.exposure_s for frame in halves[0]])
-    deviations = exposures - exposures.mean() if np.isfinite(exposures).all() else np.zeros(len(exposures))
-    slope_weights = deviations / max(float(deviations @ deviations), 1e-300)
+    # Both halves have the same exposures. The slope of a pixel's line over exposure is the sum of its readings times
+    # `slope_weights` [1/s], all 0 without different exposures.
+    exposures_s = np.array([np.nan if frame.exposure_s is None else frame.exposure_s for frame in halves[0]])
+    deviations_s = exposures_s - exposures_s.mean() if np.isfinite(exposures_s).all() else np.zeros(len(exposures_s))
+    slope_weights = deviations_s / max(float(deviations_s @ deviations_s), MIN_SQUARE_S2)
     means, slopes, pixels_at_zero, pixels = [], [], 0, 0
     for half in halves:
         mean = slope = np.zeros(1)
@@ -95,8 +103,8 @@ def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
         return f"{100 * pixels_at_zero / pixels:.1f} % of the darks' pixels read 0, so that their offsets are not known"
     maps = SensorMaps(
         offset=shrink_to_mean(*(mean - np.nanmean(mean) for mean in means)),
-        slope=shrink_to_mean(*(slope - np.nanmean(slope) for slope in slopes)) if deviations.any() else None,
-        exposure_s=float(exposures.mean()),
+        slope=shrink_to_mean(*(slope - np.nanmean(slope) for slope in slopes)) if deviations_s.any() else None,
+        exposure_s=float(exposures_s.mean()),
         gain=None,
         darks=2 * len(halves[0]),
         flats=0,
@@ -105,88 +113,105 @@ def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
 
 
 def _split_in_halves(dataset: Dataset, kind: str) -> tuple[list[Frame], list[Frame]]:
-    """Return the frames of a kind in two halves with equal levels, without the last one of an odd number in a level."""
-    levels = [level for (level_kind, *_), level in group_frames(dataset).items() if level_kind == kind]
-    pairs = [level[k : k + 2] for level in levels for k in range(0, len(level) - 1, 2)]
-    return [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    """Return the frames of a kind ("dark" or "flat") in two halves, whose frames agree pairwise in light and exposure.
+
+    The last frame of an odd number in a level is left out.
+    """
+    levels = [level_frames for (level_kind, *_), level_frames in group_frames(dataset).items() if level_kind == kind]
+    pairs = [pair for level_frames in levels for pair in zip(level_frames[::2], level_frames[1::2], strict=False)]
+    return [first for first, _ in pairs], [second for _, second in pairs]
 
 
 def _add_gain(
     maps: SensorMaps, dataset: Dataset, full_scale_dn: float, dark_level_dn: float, dark_slope_dn_per_s: float
 ) -> SensorMaps:
-    """Return maps with the gain from the flats of a dataset, if any are usable.
+    """Return maps with the gain from the flats of a dataset; unchanged if no flats are usable.
 
     The mean over all pixels of a dark is `dark_level_dn` at the exposure of the maps, and grows by
-    `dark_slope_dn_per_s`.
+    `dark_slope_dn_per_s` [DN/s]. `full_scale_dn` is the largest reading of the converter [DN].
     """
 
     def subtract_dark(image: np.ndarray, exposure_s: float | None) -> np.ndarray:
-        growth_s = 0.0 if exposure_s is None or maps.slope is None else exposure_s - maps.exposure_s
-        return image - (maps.at(exposure_s).offset_dn + dark_level_dn + growth_s * dark_slope_dn_per_s)
+        """Return an image [rows, columns] of an exposure [s] (None: that of the darks) without its dark level [DN]."""
+        longer_s = 0.0 if exposure_s is None or maps.slope is None else exposure_s - maps.exposure_s
+        return image - (maps.at(exposure_s).offset_dn + dark_level_dn + longer_s * dark_slope_dn_per_s)
 
-    totals, used = [np.zeros(1), np.zeros(1)], 0
+    # Sums of the usable flats of both halves.
+    totals, flat_count = [np.zeros(1), np.zeros(1)], 0
     for pair in zip(*_split_in_halves(dataset, "flat"), strict=True):
         images = [frames.read_masked_image(dataset, frame).astype(float) for frame in pair]
-        if max(float(np.nanquantile(image, 0.999)) for image in images) < MAX_FLAT_LEVEL * full_scale_dn:
-            used += 2
+        highest_dn = max(float(np.nanquantile(image, FLAT_QUANTILE)) for image in images)
+        if highest_dn < MAX_FLAT_LEVEL * full_scale_dn:
+            flat_count += 2
             totals = [
                 total + subtract_dark(image, frame.exposure_s)
                 for total, image, frame in zip(totals, images, pair, strict=True)
             ]
-    if not used:
+    if not flat_count:
         return maps
     light = fit_light(totals[0] + totals[1]) / 2
     if not (light > 0).all():
         return maps
     ratios = [total / light for total in totals]
-    return replace(maps, gain=shrink_to_mean(*(ratio / np.nanmean(ratio) - 1 for ratio in ratios)), flats=used)
+    gain = shrink_to_mean(*(ratio / np.nanmean(ratio) - 1 for ratio in ratios))
+    return replace(maps, gain=gain, flats=flat_count)
 
 
 def shrink_to_mean(first: np.ndarray, second: np.ndarray) -> MapEstimate:
-    """Return the map that two halves [rows, columns] share, shrunk by a Wiener filter.
+    """Return the map that two halves share, shrunk towards 0 by a Wiener filter.
 
-    Both halves have the mean 0, and NaN where a pixel is unknown. With the variances s² of the pattern (covariance of
-    the halves) and v of the noise of their mean, the mean of the halves is multiplied by w = s²/(s² + v), which leaves
-    the standard error √(w v). Outliers are kept as they are.
+    Let s² be the variance of the pattern (covariance of the halves) and v that of the noise of the mean of the halves.
+    The mean of the halves is multiplied by w = s²/(s² + v), which has the standard error √(w v). Outliers are kept as
+    they are.
+
+    Parameters
+    ----------
+    first, second : maps of the two halves [rows, columns], with the mean 0; NaN where a pixel is unknown.
     """
     mean, half_difference = (first + second) / 2, (first - second) / 2
-    # 1.4826 median absolute values are the standard deviation of a normal distribution.
-    scatter = 1.4826 * float(np.nanmedian(np.abs(mean)))
+    scatter = MAD_TO_SIGMA * float(np.nanmedian(np.abs(mean)))
     is_outlier = np.abs(mean) > OUTLIER_SD * scatter if scatter > 0 else np.zeros(mean.shape, bool)
-    usual = np.isfinite(mean) & ~is_outlier
-    noise_variance = float(np.mean(half_difference[usual] ** 2))
-    variance = max(float(np.mean((first * second)[usual])), 0.0)
-    factor = variance / (variance + noise_variance) if variance > 0 else 0.0
+    is_inlier = np.isfinite(mean) & ~is_outlier
+    noise_variance = float(np.mean(half_difference[is_inlier] ** 2))
+    pattern_variance = max(float(np.mean((first * second)[is_inlier])), 0.0)
+    factor = pattern_variance / (pattern_variance + noise_variance) if pattern_variance > 0 else 0.0
     values = np.where(is_outlier, mean, factor * mean)
-    return MapEstimate(values, float(np.sqrt(factor * noise_variance)), float(np.sqrt(variance)))
+    return MapEstimate(values, float(np.sqrt(factor * noise_variance)), float(np.sqrt(pattern_variance)))
 
 
 def fit_light(image: np.ndarray) -> np.ndarray:
     """Return the least-squares polynomial of degree `DEGREE` through an image [rows, columns], at all of its pixels.
 
-    It is fitted to means of blocks, without NaN pixels.
+    It is fitted to the means of blocks. NaN pixels do not count.
     """
     side = max(1, min(image.shape) // BLOCKS)
     blocks = frames.average_blocks(image, side)
-    known = np.isfinite(blocks)
+    is_known = np.isfinite(blocks)
+    # Polynomials at the centres of the blocks, along y and x.
     in_y, in_x = (
         _evaluate_legendre(side * np.arange(count) + (side - 1) / 2, length)
         for count, length in zip(blocks.shape, image.shape, strict=True)
     )
-    design = np.array([np.outer(in_y[j], in_x[k])[known] for j, k in TERMS]).T
+    design = np.array([np.outer(in_y[j], in_x[k])[is_known] for j, k in TERMS]).T
     coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
-    coefficients[tuple(zip(*TERMS, strict=True))] = np.linalg.lstsq(design, blocks[known])[0]
-    rows, columns = (_evaluate_legendre(np.arange(length, dtype=float), length) for length in image.shape)
-    return rows.T @ coefficients @ columns
+    coefficients[tuple(zip(*TERMS, strict=True))] = np.linalg.lstsq(design, blocks[is_known])[0]
+    in_y, in_x = (_evaluate_legendre(np.arange(length, dtype=float), length) for length in image.shape)
+    return in_y.T @ coefficients @ in_x
 
 
 def _evaluate_legendre(position: np.ndarray, length: int) -> np.ndarray:
-    """Return Legendre polynomials [degree, position] at positions [px] along a side of `length` pixels."""
+    """Return Legendre polynomials [degree, position], up to `DEGREE`, at positions [px] along a side of `length` px.
+
+    The side is scaled to −1 … 1.
+    """
     return np.polynomial.legendre.legvander((2 * position + 1) / length - 1, DEGREE).T
 
 
 def build_maps_dataset(maps: SensorMaps | str, title: str, name: str) -> xr.Dataset:
-    """Return maps.nc; if there are no maps, the reason is in the attribute `skipped`."""
+    """Return the content of maps.nc, with title and folder name of the dataset.
+
+    If `maps` is the reason why there are none, it is stored in the attribute `skipped`.
+    """
     ds = xr.Dataset(attrs={"title": title, "dataset": name})
     if isinstance(maps, str):
         return ds.assign_attrs(skipped=maps)
@@ -195,8 +220,8 @@ def build_maps_dataset(maps: SensorMaps | str, title: str, name: str) -> xr.Data
         if estimate is None:
             continue
         ds[key] = (("row", "column"), estimate.values.astype("f4"), {"units": units, "long_name": long_name})
-        for suffix, text in (("stderr", "standard error of a pixel of"), ("rms", "how far pixels differ in")):
-            attributes = {"units": units, "long_name": f"{text} the map {key}"}
+        for suffix, phrase in (("stderr", "standard error of a pixel of"), ("rms", "how far pixels differ in")):
+            attributes = {"units": units, "long_name": f"{phrase} the map {key}"}
             ds[f"{key}_{suffix}"] = ((), getattr(estimate, suffix), attributes)
     for key, units, long_name in (
         ("exposure_s", "s", "mean exposure of the darks"),
@@ -208,7 +233,7 @@ def build_maps_dataset(maps: SensorMaps | str, title: str, name: str) -> xr.Data
 
 
 def read_maps(ds: xr.Dataset) -> SensorMaps | None:
-    """Return the maps of maps.nc; None if it has none."""
+    """Return the maps in the content of maps.nc; None if it has none."""
     if "skipped" in ds.attrs:
         return None
     estimates = {

@@ -1,6 +1,8 @@
 """Gain, noise floor and saturation level of a sensor from images of spots.
 
-The noise comes from differences of neighbouring pixels, or from differences of two frames of the same pixels.
+The noise comes from differences of neighbouring pixels, or from differences of two frames of the same pixels. A noise
+curve is the temporal variance of a pixel over its level of light; its slope is the gain, and its value without light
+is the noise floor. The rim of an image is its outer pixels, which the spot does not reach.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,47 +11,46 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from spotcheck.characterization import noise_curve
 from spotcheck.characterization.frame_pairs import EMPTY_TALLY, convert_to_curve, tally_differences
 from spotcheck.characterization.missing_codes import find_missing_codes
-from spotcheck.characterization.noise_curve import (
-    MIN_COUNT,
-    GainEstimate,
-    NoiseCurve,
-    fit_gain,
-    measure_noise_correlation,
-    measure_noise_curve,
-)
+from spotcheck.characterization.noise_curve import MIN_COUNT, GainEstimate, NoiseCurve
 from spotcheck.sensor import SensorModel
 
 # Signals below this part of saturation have their full noise.
 FULL_NOISE_PART = 0.9
 # Signals above this part of saturation are saturated. Their noise is lost if less than this part of shot noise is left.
 SATURATED_PART, LOST_NOISE_PART = 0.9, 0.5
-# Number of frames that are tested for missing codes and for correlated noise.
+# Largest number of frames that are tested for missing codes and for correlated noise.
 TESTED_FRAMES = 5
-# Width of the rim of a frame, as a part of its sides: a spot lies within.
+# Width of the rim of an image, as a part of its side. The spot lies inside the rim and does not reach it.
 RIM = 0.05
-# Saturation of a spot: histogram bins of this width in ln level; least ratio of the fullest bin to the mean bin of the
-# spot's flank; range of the flank, as parts of the brightest level; end of the bins in ln of parts of it.
+# The brightest level of a spot is this quantile of the levels, which hot pixels do not change.
+BRIGHTEST_QUANTILE = 0.999
+# Histogram of x = ln(level/brightest level), in which saturation is a peak: width of its bins in x; least ratio of the
+# fullest bin to the mean bin of the spot's flank; range of the flank as parts of the brightest level; largest x.
 BIN_WIDTH, MIN_PEAK_RATIO, FLANK, BINS_END = 0.04, 4.0, (0.25, 0.6), 0.15
-# Saturation of a sensor: least number and least part of the spots that agree with their median within a part of it.
+# Distance from the peak up to which levels count as saturated, in widths of a bin.
+PEAK_BINS = 1.5
+# Saturation of a sensor: least number and least part of the saturating spots that agree with their median, and largest
+# relative difference from the median for agreement.
 MIN_AGREEING, MIN_AGREEING_PART, AGREEMENT = 2, 0.6, 0.05
 
 
 @dataclass(frozen=True)
 class SpotEstimates:
-    """What images of spots show of the sensor."""
+    """Properties of the sensor that images of spots show."""
 
-    gain: GainEstimate | None  # gain and noise floor; None if the noise does not grow with the light
-    method: str  # how they were measured, as a phrase; "" if there is no gain
-    saturation: tuple[float, float] | None  # level over black [DN] and standard error; None if frames do not saturate
+    gain: GainEstimate | None  # gain [DN/e-] and noise floor [DN²]; None if the noise does not grow with the light
+    method: str  # how gain and floor were measured, as a phrase; "" if there is no gain
+    saturation: tuple[float, float] | None  # level over black and standard error [DN]; None if spots do not saturate
     saturated_variance: float  # temporal variance of a saturated pixel [DN²]; NaN without pairs
     level_dn: float  # level from which light was counted [DN]: black level, or median of the rims of all frames
     lowest_dn: float  # lowest such level of all frames [DN]
 
     @property
     def is_noise_lost(self) -> bool:
-        """Whether saturated pixels have lost their noise: then the sensor saturates, and it is no plateau of light."""
+        """Whether saturated pixels have lost their noise: then the sensor saturates, and the light has no plateau."""
         if self.gain is None or self.saturation is None:
             return False
         return self.saturated_variance < self.gain.floor + LOST_NOISE_PART * self.gain.gain * self.saturation[0]
@@ -62,52 +63,54 @@ def estimate_from_spots(
     full_scale_dn: float,
     response_bend: float = 0.0,
 ) -> SpotEstimates:
-    """Return gain, noise floor and saturation from spots, by the method with the smaller relative error of the gain.
+    """Return gain, noise floor and saturation from spots, by the method with the smallest relative error of the gain.
 
     Parameters
     ----------
     crops : images of spots [rows, columns] in DN.
-    pairs : pairs of images [rows, columns] in DN of the same pixels, by what the two frames are. Their differences do
-        not contain the grain of the material, which those of neighbouring pixels do.
-    black_dn : black level [DN]. If it is None, light is counted from the level of each frame's rim; the floor is then
+    pairs : pairs of images [rows, columns] in DN of the same pixels, by a phrase that says what the two frames are,
+        such as "repeats". Each phrase is a method. Differences of pairs do not contain the grain of the material, which
+        differences of neighbouring pixels contain.
+    black_dn : black level [DN]. If it is None, light is counted from the level of each crop's rim; the floor is then
         the noise of a dark pixel with the shot noise of stray light.
     full_scale_dn : largest possible reading [DN].
-    response_bend : response curvature of the data sheet, which is corrected.
+    response_bend : response curvature of the data sheet [1], which is corrected.
     """
     nonlinear = SensorModel(1.0, 0.0, full_scale_dn=full_scale_dn, response_bend=response_bend)
-    curves, saturations, levels, tested = list[NoiseCurve](), list[float](), list[float](), list[np.ndarray]()
+    curves, saturations, levels, tested_crops = list[NoiseCurve](), list[float](), list[float](), list[np.ndarray]()
     for crop in crops:
         level = measure_rim(crop) if black_dn is None else black_dn
         sensor = replace(nonlinear, black_level_dn=level)
         image = sensor.linearize(crop)
         saturation = find_saturation(image, level)
-        curve = measure_noise_curve(image, _limit_readings(sensor, saturation))
+        curve = noise_curve.measure_noise_curve(image, _limit_readings(sensor, saturation))
         levels.append(level)
         saturations.append(saturation)
         if curve.level.size:
             curves.append(curve._replace(level=curve.level - level))
-        if len(tested) < TESTED_FRAMES:
-            tested.append(crop)
+        if len(tested_crops) < TESTED_FRAMES:
+            tested_crops.append(crop)
+    # Noise curves over light, of all crops together and of each kind of pairs.
     curves_by_method = {}
     if curves:
-        method = f"differences of neighbouring pixels in {_count(len(curves), 'frame')}"
-        pooled = NoiseCurve(*(np.concatenate(parts) for parts in zip(*curves, strict=True)))
-        curves_by_method[method + _describe_faults(tested, full_scale_dn)] = pooled
+        method = f"differences of neighbouring pixels in {_format_count(len(curves), 'frame')}"
+        pooled = NoiseCurve(*(np.concatenate(columns) for columns in zip(*curves, strict=True)))
+        curves_by_method[method + _describe_faults(tested_crops, full_scale_dn)] = pooled
     level = float(np.median(levels)) if levels else black_dn or 0.0
     sensor = replace(nonlinear, black_level_dn=level)
-    saturated = np.zeros(2)
-    for kind, images in pairs.items():
-        curve, count, saturated_of_kind = _compare_pairs(images, sensor)
-        curves_by_method[f"differences of {_count(count, 'pair')} of {kind}"] = curve
-        saturated += saturated_of_kind
-    fits = ((method, fit_gain(curve, 0.0)) for method, curve in curves_by_method.items())
+    saturated_sums = np.zeros(2)
+    for phrase, image_pairs in pairs.items():
+        curve, count, saturated_sums_of_kind = _compare_pairs(image_pairs, sensor)
+        curves_by_method[f"differences of {_format_count(count, 'pair')} of {phrase}"] = curve
+        saturated_sums += saturated_sums_of_kind
+    fits = ((method, noise_curve.fit_gain(curve, 0.0)) for method, curve in curves_by_method.items())
     gains = {method: gain for method, gain in fits if gain is not None}
-    best = min(gains, key=lambda method: gains[method].gain_stderr / gains[method].gain, default="")
+    best_method = min(gains, key=lambda method: gains[method].gain_stderr / gains[method].gain, default="")
     return SpotEstimates(
-        gain=gains.get(best),
-        method=best,
+        gain=gains.get(best_method),
+        method=best_method,
         saturation=find_common_saturation(saturations),
-        saturated_variance=float(saturated[1] / saturated[0]) if saturated[0] else np.nan,
+        saturated_variance=float(saturated_sums[1] / saturated_sums[0]) if saturated_sums[0] else np.nan,
         level_dn=level,
         lowest_dn=min(levels, default=level),
     )
@@ -116,32 +119,39 @@ def estimate_from_spots(
 def _compare_pairs(
     pairs: Iterable[tuple[np.ndarray, np.ndarray]], sensor: SensorModel
 ) -> tuple[NoiseCurve, int, np.ndarray]:
-    """Return the noise over light of pairs of images, the number of pairs, and the sums of `_sum_saturated`."""
-    black_dn, tally, count, saturated = sensor.black_level_dn, EMPTY_TALLY, 0, np.zeros(2)
+    """Return the noise curve over light of pairs of images, the number of pairs, and the sums of `_sum_saturated`.
+
+    `pairs` are images [rows, columns] in DN; `sensor` gives black level, full scale and response curvature.
+    """
+    black_dn, tally, count, saturated_sums = sensor.black_level_dn, EMPTY_TALLY, 0, np.zeros(2)
     for pair in pairs:
         first, second = (sensor.linearize(image) for image in pair)
         saturations = [find_saturation(image, black_dn) for image in (first, second)]
         tally = tally + tally_differences(first, second, black_dn, _limit_readings(sensor, *saturations))
-        saturated += _sum_saturated(first, second, black_dn + SATURATED_PART * float(np.mean(saturations)))
+        # The mean is NaN, and no pixel counts, unless both images saturate.
+        saturated_sums += _sum_saturated(first, second, black_dn + SATURATED_PART * float(np.mean(saturations)))
         count += 1
     curve = convert_to_curve(tally, black_dn)
-    return curve._replace(level=curve.level - black_dn), count, saturated
+    return curve._replace(level=curve.level - black_dn), count, saturated_sums
 
 
 def _limit_readings(sensor: SensorModel, *saturations: float) -> float:
-    """Return the linearized reading [DN] up to which noise is complete in images of these saturations (NaN: none)."""
+    """Return the largest linearized reading [DN] with full noise in images that saturate at these levels.
+
+    Levels are over black [DN]; NaN if an image does not saturate. Without any, the limit is full scale.
+    """
     limits = [sensor.black_level_dn + FULL_NOISE_PART * level for level in saturations if np.isfinite(level)]
     return float(min([sensor.without_curvature().full_scale_dn, *limits]))
 
 
 def _describe_faults(images: Sequence[np.ndarray], full_scale_dn: float) -> str:
-    """Return what makes differences of neighbouring pixels unreliable, to be appended to the method; "" if nothing.
+    """Return why differences of neighbouring pixels are unreliable, to be appended to the method; "" if they are not.
 
-    Noise counts as correlated only if it is in most images: by chance it seems so in a single one.
+    Noise counts as correlated only if it is correlated in half of the images or more: by chance it seems so in one.
     """
-    missing = find_missing_codes(images)
-    correlations = [measure_noise_correlation(image, full_scale_dn) for image in images]
-    text = f"; {len(missing)} codes are never read, as a look-up table skips them" if missing else ""
+    missing_codes = find_missing_codes(images)
+    correlations = [noise_curve.measure_noise_correlation(image, full_scale_dn) for image in images]
+    text = f"; {len(missing_codes)} codes are never read, as a look-up table skips them" if missing_codes else ""
     if sum(correlation.is_white for correlation in correlations) <= len(correlations) / 2:
         range_px = int(np.median([correlation.range_px for correlation in correlations]))
         text += f"; pixels share noise over {range_px} px, as in compressed frames, so it is not that of single pixels"
@@ -149,28 +159,30 @@ def _describe_faults(images: Sequence[np.ndarray], full_scale_dn: float) -> str:
 
 
 def _sum_saturated(first: np.ndarray, second: np.ndarray, limit_dn: float) -> np.ndarray:
-    """Return the number of pixels above a limit [DN] in both images, and that number times their variance [DN²].
+    """Return two sums over the saturated pixels of two images [rows, columns]: their number, and their variances [DN²].
 
-    The variance is estimated from the median squared difference, as some of the pixels are not saturated.
+    Saturated pixels read more than `limit_dn` [DN] in both images. Their common variance is estimated from the median
+    squared difference, since a minority of them is not saturated. Both sums are 0 if there are none.
     """
-    both = np.minimum(first, second) > limit_dn
-    if not both.any():
+    is_saturated = np.minimum(first, second) > limit_dn
+    if not is_saturated.any():
         return np.zeros(2)
-    variance = float(np.median((second - first)[both] ** 2)) / 2 / chi2.median(1)
-    return both.sum() * np.array([1.0, variance])
+    # A squared difference is 2 variance χ² with one degree of freedom.
+    variance = float(np.median((second - first)[is_saturated] ** 2)) / 2 / chi2.median(1)
+    return is_saturated.sum() * np.array([1.0, variance])
 
 
-def _count(number: int, noun: str) -> str:
-    """Return a number with its noun in singular or plural."""
+def _format_count(number: int, noun: str) -> str:
+    """Return a number with its noun in singular or plural, such as "2 frames"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def measure_rim(frame: np.ndarray) -> float:
-    """Return the median reading [DN] of the rim of a frame [rows, columns]."""
-    rows, columns = (max(1, round(RIM * side)) for side in frame.shape)
-    is_rim = np.ones(frame.shape, bool)
-    is_rim[rows:-rows, columns:-columns] = False
-    return float(np.nanmedian(frame[is_rim]))
+def measure_rim(image: np.ndarray) -> float:
+    """Return the median reading [DN] of the rim of an image [rows, columns]; NaN pixels do not count."""
+    rim_rows, rim_columns = (max(1, round(RIM * side)) for side in image.shape)
+    is_rim = np.ones(image.shape, bool)
+    is_rim[rim_rows:-rim_rows, rim_columns:-rim_columns] = False
+    return float(np.nanmedian(image[is_rim]))
 
 
 def find_saturation(image: np.ndarray, black_dn: float) -> float:
@@ -184,32 +196,33 @@ def find_saturation(image: np.ndarray, black_dn: float) -> float:
     black_dn : black level [DN].
     """
     level = image[np.isfinite(image)] - black_dn
-    top = float(np.quantile(level, 0.999)) if level.size else 0.0
-    if top <= 0:
+    brightest = float(np.quantile(level, BRIGHTEST_QUANTILE)) if level.size else 0.0
+    if brightest <= 0:
         return np.nan
-    log_level = np.log(level[level > FLANK[0] * top] / top)
+    log_level = np.log(level[level > FLANK[0] * brightest] / brightest)
     flank_start, flank_end = np.log(FLANK)
     edges = np.arange(flank_start, BINS_END, BIN_WIDTH)
-    count, _ = np.histogram(log_level, edges)
-    flank = count[edges[1:] <= flank_end]
-    fullest = int(np.argmax(count))
-    if flank.sum() < MIN_COUNT or count[fullest] < MIN_PEAK_RATIO * flank.mean() or edges[fullest] < flank_end:
+    counts, _ = np.histogram(log_level, edges)
+    flank_counts = counts[edges[1:] <= flank_end]
+    fullest = int(np.argmax(counts))
+    has_no_peak = counts[fullest] < MIN_PEAK_RATIO * flank_counts.mean()
+    if flank_counts.sum() < MIN_COUNT or has_no_peak or edges[fullest] < flank_end:
         return np.nan
-    near = np.abs(log_level - edges[fullest] - BIN_WIDTH / 2) < 1.5 * BIN_WIDTH
-    return float(top * np.exp(np.median(log_level[near])))
+    is_near_peak = np.abs(log_level - edges[fullest] - BIN_WIDTH / 2) < PEAK_BINS * BIN_WIDTH
+    return float(brightest * np.exp(np.median(log_level[is_near_peak])))
 
 
 def find_common_saturation(saturations: Sequence[float]) -> tuple[float, float] | None:
-    """Return the level [DN] at which most spots saturate and its standard error.
+    """Return the level over black [DN] at which most saturating spots saturate, and its standard error.
 
-    It is None if fewer than two spots saturate (NaN: no saturation), or if their levels differ, as those of plateaus of
-    the light do.
+    It is None if fewer than two spots saturate, or if their levels differ, as those of plateaus of the light do.
+    `saturations` has the level of each spot [DN], NaN if it does not saturate.
     """
     known = np.array([level for level in saturations if np.isfinite(level)])
     if len(known) < MIN_AGREEING:
         return None
-    middle = float(np.median(known))
-    agreeing = known[np.abs(known - middle) < AGREEMENT * middle]
+    median = float(np.median(known))
+    agreeing = known[np.abs(known - median) < AGREEMENT * median]
     if len(agreeing) < max(MIN_AGREEING, MIN_AGREEING_PART * len(known)):
         return None
     return float(agreeing.mean()), float(agreeing.std(ddof=1) / np.sqrt(len(agreeing)))

@@ -1,10 +1,14 @@
-"""transfer.nc: the statistics of every level of flats and darks, and all quantities of EMVA 1288."""
+"""Content of transfer.nc: the statistics of every level of flats and darks, and all quantities of EMVA 1288.
+
+Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
+exposure.
+"""
 
 import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.emva_quantities import Quantity
-from spotcheck.characterization.levels import PatternVariances, collect
+from spotcheck.characterization.levels import PatternVariances, collect_field
 from spotcheck.characterization.photon_transfer import Transfer, fit_ranges
 from spotcheck.io import store
 
@@ -40,25 +44,31 @@ QUANTITY_VARIABLES = {
 
 
 def build_transfer_dataset(transfer: Transfer, title: str, name: str) -> xr.Dataset:
-    """Return transfer.nc, with title and name of the dataset.
+    """Return the content of transfer.nc.
 
     Its variables are over `dark` and `flat` (levels), over `range` (parts of saturation) and over `quantity`.
+
+    Parameters
+    ----------
+    transfer : photon transfer of the flats and darks.
+    title, name : title and folder name of the dataset.
     """
     ds = store.add_remarks(xr.Dataset(attrs={"title": title, "dataset": name}), transfer.remarks)
     for kind, levels in (("dark", transfer.darks), ("flat", transfer.flats)):
         for variable, (units, long_name, field) in LEVEL_VARIABLES.items():
             attributes = {"units": units, "long_name": f"{long_name} of a {kind} level"}
-            ds[f"{kind}_{variable}"] = (kind, collect(levels, field), attributes)
-        for part in PatternVariances._fields:
-            values = np.array([getattr(level.pattern, part) for level in levels], float)
-            attributes = {"units": "DN2", "long_name": f"variance of the pattern, {part}"}
-            ds[f"{kind}_pattern_{part}"] = (kind, values, attributes)
+            ds[f"{kind}_{variable}"] = (kind, collect_field(levels, field), attributes)
+        for pattern_field in PatternVariances._fields:
+            values = np.array([getattr(level.pattern, pattern_field) for level in levels], float)
+            attributes = {"units": "DN2", "long_name": f"variance of the pattern, {pattern_field}"}
+            ds[f"{kind}_pattern_{pattern_field}"] = (kind, values, attributes)
     for variable, values, units, long_name in (
         ("signal", transfer.signal, "DN", "mean reading over dark"),
         ("excess", transfer.excess, "DN2", "variance in time over dark"),
         ("excess_stderr", transfer.excess_error, "DN2", "standard error of the variance over dark"),
-        ("fitted", transfer.fitted.astype(float), "1", "1 where the gain is fitted to the level"),
+        ("fitted", transfer.is_in_gain_fit.astype(float), "1", "1 where the gain is fitted to the level"),
     ):
+        # The arrays are empty if no dark has two frames.
         values = values if values.size else np.full(len(transfer.flats), np.nan)
         ds[variable] = ("flat", values, {"units": units, "long_name": long_name})
     saturation = -1 if transfer.saturation is None else transfer.saturation
@@ -76,7 +86,7 @@ def build_transfer_dataset(transfer: Transfer, title: str, name: str) -> xr.Data
 
 
 def read_quantities(ds: xr.Dataset) -> dict[str, Quantity]:
-    """Return the quantities of transfer.nc by name."""
+    """Return the quantities of EMVA 1288 in the content of transfer.nc, by name."""
     columns = [ds[name].values for name in ("quantity", "symbol", "value", "stderr", "unit", "why")]
     return {
         str(name): Quantity(str(name), str(symbol), float(value), float(stderr), str(unit), str(why))

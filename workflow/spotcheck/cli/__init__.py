@@ -1,7 +1,8 @@
 """Command line: one subcommand per stage of the workflow, each in a module of its name.
 
-A subcommand module has `EXAMPLES`, `add_arguments(parser)` and `run(args)`: it parses, calls the library and writes.
-Only the module of the chosen subcommand is imported, because imports dominate the time of a short job.
+In: the words of a command line. Out: files of results, and text for the terminal. A subcommand module has `EXAMPLES`,
+`add_arguments(parser)` and `run(args)`: it parses, calls the library and writes. Only the module of the chosen
+subcommand is imported, because imports dominate the time of a short job.
 """
 
 import argparse
@@ -17,7 +18,7 @@ from collections.abc import Sequence
 
 import spotcheck
 
-# Sentence of each subcommand, by the titles of the main help.
+# Title of a group in the main help → subcommand → sentence that says what it does.
 GROUPS = {
     "a first look": {
         "look": "measure images without a description: widths with errors, shape, clip, gain, M²",
@@ -61,11 +62,16 @@ GROUPS = {
         "effects": "write the page of effects from the effects' own files",
     },
 }
+# Subcommand → its sentence, in the order of the main help.
 COMMANDS = {name: sentence for commands in GROUPS.values() for name, sentence in commands.items()}
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line; an error that the user can correct ends with one sentence and status 2."""
+    """Run the command line, and end the process with an exit status other than 0 if it fails.
+
+    An error that the user can correct prints one sentence and exits with status 2. A signal exits with 128 and its
+    number. `argv` are the words after the name of the program; None takes those of the process.
+    """
     from spotcheck.errors import InputError
     from spotcheck.io import progress
 
@@ -97,15 +103,16 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def run(words: Sequence[str]) -> None:
-    """Run the subcommand of a command line. Raises `InputError` for what the user can correct."""
+    """Run the subcommand of a command line, given as its words. Raises `InputError` for what the user can correct."""
     args = parse(words)
     args.run(args)
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:
-    """Return the arguments of a command line, with the function to run as `run`.
+    """Return the parsed arguments of a command line; their attribute `run` is the function of the subcommand's module.
 
-    Raises `InputError` for an unknown subcommand.
+    `words` are the words after the name of the program. Without words, the help is printed, and the process exits with
+    status 2, as it does for wrong arguments. Raises `InputError` for an unknown subcommand.
     """
     from spotcheck.errors import InputError
 
@@ -118,7 +125,9 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"spotcheck {spotcheck.__version__}")
+    # No help for the subcommands, since the epilog lists them.
     subparsers = parser.add_subparsers(dest="command", prog="spotcheck", required=True, help=argparse.SUPPRESS)
+    # Options of the program may stand before the subcommand.
     command = next((word for word in words if word in COMMANDS), None)
     for name, sentence in COMMANDS.items():
         subparser = subparsers.add_parser(
@@ -142,7 +151,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
 
 
 def _list_commands() -> str:
-    """Return every subcommand with its sentence, by group."""
+    """Return the text that lists every subcommand with its sentence, under the titles of the groups."""
     return "\n\n".join(
         "\n".join([f"{title}:", *(f"  {name:14}{sentence}" for name, sentence in commands.items())])
         for title, commands in GROUPS.items()
@@ -150,5 +159,6 @@ def _list_commands() -> str:
 
 
 def _exit_with(sentence: str) -> None:
+    """Print a sentence to standard error, and exit with status 2."""
     print(f"spotcheck: {sentence}", file=sys.stderr)
     sys.exit(2)

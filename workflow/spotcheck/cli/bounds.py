@@ -1,4 +1,4 @@
-"""`spotcheck bounds`: bounds.nc."""
+"""`spotcheck bounds`: writes bounds.nc, the Cramér-Rao bounds of fits over exposure time."""
 
 import argparse
 
@@ -22,12 +22,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Compute the bounds of the peak's photons and of σ_g."""
+    """Write the bounds of the peak's photons and of the spot's width σ_g [px] over exposure time.
+
+    Prints the number of exposures, or why there are no bounds.
+    """
     dataset = folder.load(args.dataset)
-    exposures = np.array(dataset.exposures)
+    exposures_s = np.array(dataset.exposures)
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
         result = compute_bounds(
-            calibration, dataset.instrument, exposures, read_sensor_model(sensor), dataset.instrument.crop_px
+            calibration, dataset.instrument, exposures_s, read_sensor_model(sensor), dataset.instrument.crop_px
         )
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor])
     print(result.attrs.get("skipped", f"bounds at {result.sizes.get('fine_exposure', 0)} exposures"))

@@ -1,4 +1,9 @@
-"""`spotcheck calibrate`: calibration.nc."""
+"""`spotcheck calibrate`: writes calibration.nc, the law of the spot's width over exposure time.
+
+The law is σ_g = σ_laser + p1 ln(t / 1 s) + p2 [px] at the exposure time t, where σ_laser is the laser's own width on
+the sensor. p1 [px] is the slope, p2 [px] the width at 1 s without the laser's own. calibration.nc holds both by three
+estimators, two regressions of fitted widths and maximum likelihood of all frames. A site is a place on the sample.
+"""
 
 import argparse
 import math
@@ -22,17 +27,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Calibrate, and print p1 and p2 or why they are unknown."""
+    """Write calibration.nc, and print p1 and p2 [px] by the estimator that the simulation uses.
+
+    They are means over the sites, with their standard deviation over the sites. If there is no calibration, the reason
+    is printed.
+    """
     instrument = folder.load(args.dataset).instrument
     with store.read(args.crops) as crops, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
+        # Without a sensor model (None) there is no estimate by maximum likelihood.
         calibration = calibrate(crops, fits, instrument, read_sensor_model(sensor))
     inputs = [args.crops, args.fits, args.sensor]
     store.write(calibration, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     if "skipped" in calibration.attrs:
         print(f"skipped: {calibration.attrs['skipped']}")
     else:
-        used = calibration.sel(estimator=SIMULATION_ESTIMATOR)
+        estimate = calibration.sel(estimator=SIMULATION_ESTIMATOR)
         for name in ("p1", "p2"):
-            scatter = float(used[f"{name}_sd_all"])
-            error = " px (one site)" if math.isnan(scatter) else f" ± {scatter:.3f} px"
-            print(f"{name} = {float(used[f'{name}_mean']):.3f}{error}")
+            site_deviation = float(estimate[f"{name}_sd_all"])
+            # A single site has no standard deviation.
+            ending = " px (one site)" if math.isnan(site_deviation) else f" ± {site_deviation:.3f} px"
+            print(f"{name} = {float(estimate[f'{name}_mean']):.3f}{ending}")

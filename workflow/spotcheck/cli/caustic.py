@@ -1,4 +1,4 @@
-"""`spotcheck caustic`: caustic.nc."""
+"""`spotcheck caustic`: writes caustic.nc, the hyperbolas of the beam's width along z, with waist, divergence and M²."""
 
 import argparse
 
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Fit the hyperbolas and print M², or why there is none."""
+    """Write caustic.nc, and print M² of each axis of the beam or why there is no caustic."""
     instrument = folder.load(args.dataset).instrument
     with store.read(args.fits) as fits:
         caustic = compute_caustic(fits, instrument)

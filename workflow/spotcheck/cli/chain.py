@@ -1,4 +1,4 @@
-"""`spotcheck chain`: the rule graph as SVG and PNG."""
+"""`spotcheck chain`: draws the rule graph of the workflow (which stage needs which) as SVG and PNG."""
 
 import argparse
 import sys
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Read the rule graph and draw it."""
+    """Read the rule graph and draw it. Raises `InputError` if its file does not exist."""
     if args.dot == "-":
         text = sys.stdin.read()
     else:
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> None:
         except FileNotFoundError:
             raise InputError(f"{args.dot}: is not there; write it with `snakemake --rulegraph > {args.dot}`") from None
     graph = chain.parse_graph(text)
-    base = Path(args.output)
+    output = Path(args.output)
     with style.house_style():
-        style.save_drawing(chain.draw_chain(graph), base.parent, base.name)
+        style.save_drawing(chain.draw_chain(graph), output.parent, output.name)
     print(f"{len(graph.labels)} stages drawn")

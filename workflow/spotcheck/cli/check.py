@@ -1,4 +1,7 @@
-"""`spotcheck check`: the contract, without decoding a pixel."""
+"""`spotcheck check`: checks that a dataset folder keeps the dataset contract, without decoding a pixel.
+
+The contract is the required form of manifest.csv, instrument.yaml and the frames.
+"""
 
 import argparse
 import shlex
@@ -20,15 +23,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print the number of frames of each kind and remarks on implausible values. Raises `InputError` for breaches."""
+    """Print the number of frames of each kind, remarks on implausible values, and the command to run next.
+
+    Raises `InputError` for a breach of the contract.
+    """
     dataset = folder.load(args.dataset)
-    probe = check_dataset(dataset)
+    frame_format = check_dataset(dataset)
+    # Raises `InputError` for a profile of the light that cannot be read.
     of_instrument(dataset.instrument, dataset.exposures)
     kinds = ", ".join(f"{sum(frame.kind == kind for frame in dataset.frames)} {kind}" for kind in KINDS)
-    print(f"{dataset.name}: {kinds} frames of {probe.shape[1]} × {probe.shape[0]} px, {probe.bits} bit: in order")
-    for remark in (*probe.remarks, *list_unusual_values(dataset), configuration.remark_on_quotes(args.dataset)):
-        if remark:
-            print(remark)
+    rows, columns = frame_format.shape
+    print(f"{dataset.name}: {kinds} frames of {columns} × {rows} px, {frame_format.bits} bit: in order")
+    remarks = (*frame_format.remarks, *list_unusual_values(dataset), configuration.remark_on_quotes(args.dataset))
+    for remark in filter(None, remarks):
+        print(remark)
     path = shlex.quote(str(dataset.folder.resolve()))
     print(f"next, in the repository's folder: snakemake --cores 2 --config dataset={path} results=out")
     if find_spec("snakemake") is None:

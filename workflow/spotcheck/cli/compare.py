@@ -1,4 +1,4 @@
-"""`spotcheck compare`: comparison.html and comparison.nc."""
+"""`spotcheck compare`: writes comparison.html and comparison.nc, the differences of datasets from the first."""
 
 import argparse
 from pathlib import Path
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Compare the datasets, and write the page and the numbers."""
+    """Write page and numbers of the comparison, and print how many quantities changed beyond their errors."""
     comparison = compare_datasets(args.results)
     code = provenance.code_digest(__name__)
     store.write(build_dataset(comparison), args.output, code=code, inputs=list_sources(args.results))

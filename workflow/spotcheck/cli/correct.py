@@ -1,9 +1,9 @@
-"""`spotcheck correct`: frames in electrons, with their variance."""
+"""`spotcheck correct`: writes the frames in electrons, with their variance."""
 
 import argparse
 from pathlib import Path
 
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.dataset import folder
 from spotcheck.export.corrected_folder import read_calibration, write_corrected_frames
 
@@ -11,16 +11,16 @@ EXAMPLES = "spotcheck correct my-frames --results out/my-frames --output correct
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand to its parser."""
+    """Add the arguments of the subcommand to its parser, also --effects, --only and --without (`effect_options`)."""
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--results", type=Path, required=True, help="results folder with the sensor's parameters")
     parser.add_argument("--output", type=Path, required=True, help="folder to write, new or empty")
-    vocabulary.add_options(parser)
+    effect_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write every frame corrected, and print the calibration."""
-    vocabulary.apply_options(args)
+    """Write every frame corrected, and print gain K, black level, maps of pixels and response that were used."""
+    effect_options.apply_options(args)
     dataset, calibration = folder.load(args.dataset), read_calibration(args.results)
     count = write_corrected_frames(dataset, calibration, args.output)
     sensor, maps = calibration.sensor, calibration.maps

@@ -1,4 +1,4 @@
-"""`spotcheck crop`: crops.nc."""
+"""`spotcheck crop`: writes crops.nc, a square image around the spot of each frame."""
 
 import argparse
 from pathlib import Path
@@ -18,10 +18,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Crop every spot, frame by frame."""
+    """Crop every spot, frame by frame, and print the side of the crops [px] and remarks."""
     dataset = folder.load(args.dataset)
-    with store.read(args.frames) as table:
-        crop_spots(dataset, table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames])
+    with store.read(args.frames) as frame_table:
+        crop_spots(dataset, frame_table, Path(args.output), code=provenance.code_digest(__name__), inputs=[args.frames])
     print(f"{dataset.name}: {len(dataset.spots)} spots cropped to {dataset.instrument.crop_px} px")
     with store.read(args.output) as crops:
         for remark in store.remarks_of(crops):

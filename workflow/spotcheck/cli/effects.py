@@ -1,21 +1,21 @@
-"""`spotcheck effects`: the page of effects."""
+"""`spotcheck effects`: writes the documentation page of the effects that a verdict can name."""
 
 import argparse
 from pathlib import Path
 
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.report.pages import effects
 
 EXAMPLES = "spotcheck effects --output effects.md"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand to its parser."""
+    """Add the arguments of the subcommand to its parser, also --effects, --only and --without (`effect_options`)."""
     parser.add_argument("--output", required=True, type=Path, help="effects.md to write")
-    vocabulary.add_options(parser)
+    effect_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the page from the effects' own files."""
-    vocabulary.apply_options(args)
+    """Write the page from the effects' own files, and print their number."""
+    effect_options.apply_options(args)
     print(f"{args.output}: {effects.write_effects_page(args.output)} effects")

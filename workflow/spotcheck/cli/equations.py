@@ -1,4 +1,4 @@
-"""`spotcheck equations`: tables of equations and symbols."""
+"""`spotcheck equations`: writes tables of the equations and symbols in the docstrings of the code."""
 
 import argparse
 from pathlib import Path
@@ -16,6 +16,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write both tables; fail when an equation has no function or no test."""
+    """Write both tables. Fails if an equation has no function or no test."""
     equations.write_equation_pages(args.symbols, args.tests, args.output)
     print(f"{len(equations.EQUATIONS)} equations, each with a function and a test")

@@ -1,4 +1,4 @@
-"""`spotcheck explain`: where a number of the results comes from."""
+"""`spotcheck explain`: shows where a number of the results comes from: file, variable, rule and inputs."""
 
 import argparse
 import json
@@ -17,28 +17,35 @@ spotcheck explain --results out/my-frames      # lists all names"""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("number", nargs="?", help="name of the number, long or short; none: list all")
+    parser.add_argument("name", nargs="?", metavar="number", help="name, such as p1; without it, all names are listed")
     parser.add_argument("--results", type=Path, help="results folder of a dataset (default: the only one in results/)")
     parser.add_argument("--json", action="store_true", help="write JSON, for programs")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Explain a number, or list the names of all numbers."""
+    """Print the explanation of a number, or the names of all numbers and tables, as text or JSON.
+
+    Raises `InputError` for an unknown name.
+    """
     results = args.results or find_only_results(Path("results"))
-    if args.number is None:
+    if args.name is None:
         names = {"numbers": provenance.list_numbers(results), "tables": provenance.list_tables(results)}
         print(json.dumps(names, indent=1) if args.json else explanation.listing_text(**names))
         return
-    number = provenance.find_number(results, args.number)
+    number = provenance.find_number(results, args.name)
     if args.json:
         print(json.dumps(explanation.explanation_record(number, results), indent=1, ensure_ascii=False))
     else:
-        print(explanation.explanation_text(number, results, args.number, COMMANDS.get(number.source.command, "")))
+        print(explanation.explanation_text(number, results, args.name, COMMANDS.get(number.source.command, "")))
 
 
 def find_only_results(base: Path) -> Path:
-    """Return the results folder of the only dataset below `base`. Raises `InputError` if there are none or several."""
-    folders = sorted(note.parent for note in base.glob("*/.dataset"))
+    """Return the only folder in `base` that holds results of a dataset.
+
+    Raises `InputError` if there are none or several.
+    """
+    # The file .dataset names the dataset to which a folder of results belongs.
+    folders = sorted(owner_file.parent for owner_file in base.glob("*/.dataset"))
     if len(folders) == 1:
         return folders[0]
     if not folders:

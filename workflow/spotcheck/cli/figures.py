@@ -1,4 +1,4 @@
-"""`spotcheck figures`: every figure as SVG and PNG, and index.json."""
+"""`spotcheck figures`: draws every figure of the results as SVG and PNG, and writes index.json, the list of them."""
 
 import argparse
 from pathlib import Path

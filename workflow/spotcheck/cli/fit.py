@@ -1,4 +1,7 @@
-"""`spotcheck fit`: fits.nc."""
+"""`spotcheck fit`: writes fits.nc, the 2D Gaussian fits to every crop (the image around a spot).
+
+Each crop is fitted by least squares and by maximum likelihood.
+"""
 
 import argparse
 
@@ -22,25 +25,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Fit every crop, and print how many fits succeeded and why others failed."""
+    """Fit every crop, and print for each kind of fit how many succeeded and why others failed."""
     instrument = folder.load(args.dataset).instrument
     maps = None
     for path in args.maps:
-        with store.read(path) as content:
-            maps = read_maps(content)
+        with store.read(path) as maps_file:
+            maps = read_maps(maps_file)
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
         fits = fit_crops(
             crops, read_sensor_model(sensor), instrument.model.top_hat, instrument.optics.pixel_integration, maps
         )
     inputs = [args.crops, args.sensor, *args.maps]
     store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=inputs)
-    is_present = (fits["status"] & store.flag("missing")) == 0
-    for name in fits["fit"].values:
-        amplitude, present = fits["amplitude"].sel(fit=name), is_present.sel(fit=name)
-        failed = fits["status"].sel(fit=name).where(amplitude.isnull() & present, 0).values
-        reasons = f": {text}" if (text := count_failure_reasons(failed)) else ""
-        fitted = f"{int(amplitude.notnull().sum())} of {int(present.sum())} crops"
-        print(f"{fitted} fitted by {str(name).replace('_', ' ')}{reasons}")
+    has_frame = (fits["status"] & store.flag("missing")) == 0
+    for fit_name in fits["fit"].values:
+        amplitude, is_present = fits["amplitude"].sel(fit=fit_name), has_frame.sel(fit=fit_name)
+        failed_status = fits["status"].sel(fit=fit_name).where(amplitude.isnull() & is_present, 0).values
+        reasons = f": {text}" if (text := count_failure_reasons(failed_status)) else ""
+        counts = f"{int(amplitude.notnull().sum())} of {int(is_present.sum())} crops"
+        print(f"{counts} fitted by {str(fit_name).replace('_', ' ')}{reasons}")
+    # Sentences on pixels that were left out of fits, each once.
     for sentence in dict.fromkeys(filter(None, select_preferred_fits(fits)["left_out"].values.ravel())):
         print(sentence)
     for remark in store.remarks_of(fits):

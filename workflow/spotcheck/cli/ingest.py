@@ -1,4 +1,4 @@
-"""`spotcheck ingest`: frames.nc."""
+"""`spotcheck ingest`: writes frames.nc, the table of digest, shape and extreme readings of every frame."""
 
 import argparse
 from pathlib import Path
@@ -17,11 +17,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Check the dataset, decode every frame once and record its properties."""
+    """Check the dataset, decode every frame once, write its properties, and print the number of frames and remarks."""
     dataset = folder.load(args.dataset)
-    table = ingest_frames(dataset, file_cache.read_cache(file_cache.get_cache_path(Path(args.output).parent)))
+    # Digests of an earlier run are reused for files that have not changed.
+    frame_table = ingest_frames(dataset, file_cache.read_cache(file_cache.get_cache_path(Path(args.output).parent)))
     inputs = [dataset.folder / "manifest.csv", *dataset.instrument_files]
-    store.write(table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
-    print(f"{dataset.name}: {table.sizes['frame']} frames recorded")
-    for remark in store.remarks_of(table):
+    store.write(frame_table, args.output, code=provenance.code_digest(__name__), inputs=inputs)
+    print(f"{dataset.name}: {frame_table.sizes['frame']} frames recorded")
+    for remark in store.remarks_of(frame_table):
         print(remark)

@@ -1,11 +1,15 @@
-"""`spotcheck judge`: verdict.json, discrepancy.nc for the pictures, model.yaml and light.nc."""
+"""`spotcheck judge`: compares spots with the model, and writes verdict.json and the files of the improved model.
+
+The verdict names the physical effects that the model is missing. discrepancy.nc holds images of the residuals for the
+report, model.yaml the extended model with these effects, and light.nc the shape of the light if it was learned.
+"""
 
 import argparse
 import ctypes
 import sys
 from contextlib import ExitStack
 
-from spotcheck.cli import tolerance, vocabulary
+from spotcheck.cli import effect_options, tolerance
 from spotcheck.dataset import folder
 from spotcheck.discrepancy.judgement import ModelFiles, judge_spots, write_model_files
 from spotcheck.discrepancy.sentence import summarize_verdict
@@ -16,12 +20,15 @@ from spotcheck.io import provenance, store
 EXAMPLES = """spotcheck judge my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
     --fits out/my-frames/fits.nc --pictures out/my-frames/discrepancy.nc --model out/my-frames/model.yaml \\
     --light out/my-frames/light.nc --output out/my-frames/verdict.json"""
-# `mallopt` option of glibc for the number of heaps (malloc.h).
+# Option M_ARENA_MAX of glibc's `mallopt` (malloc.h): the largest number of heaps.
 M_ARENA_MAX = -8
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand to its parser."""
+    """Add the arguments of the subcommand to its parser.
+
+    `tolerance` adds --tolerance, `effect_options` adds --effects, --only and --without.
+    """
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
@@ -29,22 +36,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tolerance.add_option(parser)
     parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
     parser.add_argument("--model", required=True, help="model.yaml to write, which `spotcheck simulate` runs")
-    parser.add_argument("--light", required=True, help="light.nc to write beside it: the learned shape of the light")
+    parser.add_argument("--light", required=True, help="light.nc to write, beside model.yaml: the learned light shape")
     parser.add_argument("--output", required=True, help="verdict.json to write")
-    vocabulary.add_options(parser)
+    effect_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Judge the dataset, write the verdict and the files beside it, and print its sentence."""
-    vocabulary.apply_options(args)
-    share_heap()
+    """Judge the dataset, write the verdict and the other files, and print the summary of the verdict."""
+    effect_options.apply_options(args)
+    use_single_heap()
     dataset, limits = folder.load(args.dataset), tolerance.parse_tolerance(args.tolerance)
     with ExitStack() as stack:
         crops, sensor = (stack.enter_context(store.read(path)) for path in (args.crops, args.sensor))
         fits = stack.enter_context(store.read(args.fits)) if args.fits else None
         judgement = judge_spots(dataset, crops, sensor, fits)
     verdict = compose_verdict(judgement.findings, dataset.name, alpha=limits.alpha, tolerance=limits.of_peak)
-    verdict |= {"sentence": summarize_verdict(verdict)} | vocabulary.describe_difference()
+    verdict |= {"sentence": summarize_verdict(verdict)} | effect_options.describe_difference()
     code = provenance.code_digest(__name__)
     inputs = [args.crops, args.sensor, *filter(None, [args.fits]), *args.effects]
     files = ModelFiles(args.pictures, args.model, args.light, code, inputs)
@@ -53,8 +60,11 @@ def run(args: argparse.Namespace) -> None:
     print(verdict["sentence"])
 
 
-def share_heap() -> None:
-    """Let all threads use one heap, so that memory freed by one serves the others; does nothing without glibc."""
+def use_single_heap() -> None:
+    """Let all threads of this process use one heap, so that memory freed by one can be used by the others.
+
+    Does nothing without glibc.
+    """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
         mallopt(M_ARENA_MAX, 1)

@@ -1,4 +1,4 @@
-"""`spotcheck limits`: upper limits of the effects that a verdict does not name."""
+"""`spotcheck limits`: prints upper limits on the sizes of the effects that a verdict does not name."""
 
 import argparse
 import json
@@ -17,9 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print a line for each effect that was tested but is not named."""
-    path = (args.results or find_only_results(Path("results"))) / "verdict.json"
-    if not path.is_file():
-        raise InputError(f"{path}: is not there; name the results of a dataset that was judged")
-    lines = limits_text(json.loads(path.read_text(encoding="utf-8")))
+    """Print a line for each effect that was tested but is not named. Raises `InputError` without a verdict."""
+    verdict_path = (args.results or find_only_results(Path("results"))) / "verdict.json"
+    if not verdict_path.is_file():
+        raise InputError(f"{verdict_path}: is not there; name the results of a dataset that was judged")
+    lines = limits_text(json.loads(verdict_path.read_text(encoding="utf-8")))
     print("\n".join(lines or ["Every effect that was tested is named."]))

@@ -1,8 +1,11 @@
-"""`spotcheck look`: widths, shape, clip and camera of images without a description."""
+"""`spotcheck look`: measures widths, shape, clipping and camera noise of images without a description.
+
+A scan is a series of images at positions z along the beam, from which the beam quality M² is fitted.
+"""
 
 import argparse
 import json
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from spotcheck.dataset.metadata import units
@@ -12,7 +15,8 @@ from spotcheck.quicklook.images import find_folder
 
 EXAMPLES = """spotcheck look my-frames/frames                # all images of a folder
 spotcheck look my-frames/frames --pixel-um 3.75 --json"""
-OUTPUT = "look"
+# Default folder of the page.
+FOLDER = "look"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--z",
-        type=lambda text: [_length_parser("m")(part) for part in text.split(",") if part.strip()],
+        type=lambda text: [_parse_length("m", position) for position in text.split(",") if position.strip()],
         metavar="Z,Z,…",
         help="position of each image along the beam [m], or with a unit as in 176mm, in the order of the images"
         " (default: from names such as z_176mm.tif); --z=-0.1,0,0.1 if the first is below 0",
@@ -30,41 +34,42 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--wavelength-nm",
         dest="wavelength_m",
-        type=_length_parser("nm"),
+        type=partial(_parse_length, "nm"),
         metavar="NM",
         help="wavelength [nm], for M² of a scan",
     )
     parser.add_argument(
         "--pixel-um",
         dest="pixel_pitch_m",
-        type=_length_parser("µm"),
+        type=partial(_parse_length, "µm"),
         metavar="UM",
         help="distance of two pixels [µm], for widths in µm and M²",
     )
     parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
     parser.add_argument(
-        "--output", type=Path, metavar="FOLDER", help=f"folder for the page and its first picture (default: {OUTPUT})"
+        "--output", type=Path, metavar="FOLDER", help=f"folder for the page and its first picture (default: {FOLDER})"
     )
 
 
-def _length_parser(unit: str) -> Callable[[str], float]:
-    """Return a function that parses a length [m], written with its unit or in `unit`."""
-
-    def parse_length(text: str) -> float:
-        number = units.parse_quantity(text)
-        length_m = None if number is None else units.convert_quantity(number[0], number[1] or unit, "m")
-        if length_m is None:
-            raise argparse.ArgumentTypeError(f"is {text!r}; it must be a number in {unit}, or with a unit as in 3 mm")
-        return length_m
-
-    return parse_length
+def _parse_length(unit: str, text: str) -> float:
+    """Return the length [m] of a text such as "3 mm", or of a number without a unit, which is in `unit`."""
+    quantity = units.parse_quantity(text)
+    length_m = None if quantity is None else units.convert_quantity(quantity[0], quantity[1] or unit, "m")
+    if length_m is None:
+        raise argparse.ArgumentTypeError(f"is {text!r}; it must be a number in {unit}, or with a unit as in 3 mm")
+    return length_m
 
 
 def run(args: argparse.Namespace) -> None:
-    """Measure the images, print the results and write the page."""
-    folder = args.output or (None if args.json else Path(OUTPUT))
+    """Measure the images, print the results as text or JSON, and write the page.
+
+    With --json a page is written only with --output. Raises `InputError` if the default folder of the page holds the
+    images.
+    """
+    folder = args.output or (None if args.json else Path(FOLDER))
+    # `find_folder` gives the absolute folder that holds an image.
     if not args.output and folder and folder.resolve() in (find_folder(Path(path)) for path in args.images):
-        raise InputError(f"{OUTPUT}: holds the images; name another folder for the page with --output")
+        raise InputError(f"{FOLDER}: holds the images; name another folder for the page with --output")
     result = look(args.images, z_m=args.z, pixel_pitch_m=args.pixel_pitch_m, wavelength_m=args.wavelength_m)
     page = None if folder is None else result.write(folder)
     if args.json:
@@ -73,7 +78,8 @@ def run(args: argparse.Namespace) -> None:
         return
     print(result)
     is_scan = any(image.z_m is not None for image in result.images)
-    options = (("--wavelength-nm", result.wavelength_m or not is_scan), ("--pixel-um", result.pixel_pitch_m))
-    if missing := [option for option, value in options if not value]:
+    # The wavelength is needed for M² of a scan only.
+    is_given = {"--wavelength-nm": result.wavelength_m or not is_scan, "--pixel-um": result.pixel_pitch_m}
+    if missing := [option for option in is_given if not is_given[option]]:
         print(f"for {'M²' if is_scan else 'widths in µm'} add your {' and '.join(missing)}")
     print(f"\npage: {page}    (spotcheck open {page})")

@@ -1,4 +1,7 @@
-"""`spotcheck maps`: maps.nc."""
+"""`spotcheck maps`: writes maps.nc, offset [DN] and relative gain of each pixel of the sensor.
+
+They come from flats (frames of uniform light) and darks (frames without light).
+"""
 
 import argparse
 
@@ -18,17 +21,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Map offsets and gains of the sensor's pixels."""
+    """Map offsets and gains of the sensor's pixels, and print their rms with its error, or why there are no maps."""
     dataset = folder.load(args.dataset)
-    with store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
-        maps = measure_maps(exclude_copies(dataset, table), float(table["full_scale"]))
-    content = build_maps_dataset(maps, dataset.title, dataset.name)
-    store.write(content, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
+    with store.read(args.frames) as frame_table, file_cache.verify_unchanged(dataset, frame_table):
+        maps = measure_maps(exclude_copies(dataset, frame_table), float(frame_table["full_scale"]))
+    maps_dataset = build_maps_dataset(maps, dataset.title, dataset.name)
+    store.write(maps_dataset, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
     if isinstance(maps, str):
         print(f"no maps of pixels: {maps}")
         return
     for name in ("offset", "gain"):
-        if name in content:
-            rms = content[f"{name}_rms"]
-            print(f"{name} of pixels: {float(rms):.3g} {rms.attrs['units']} rms, known to"
-                  f" {float(content[f'{name}_stderr']):.2g}")  # fmt: skip
+        if name in maps_dataset:
+            rms, stderr = maps_dataset[f"{name}_rms"], float(maps_dataset[f"{name}_stderr"])
+            print(f"{name} of pixels: {float(rms):.3g} {rms.attrs['units']} rms, known to {stderr:.2g}")

@@ -1,4 +1,4 @@
-"""`spotcheck metrics`: metrics.nc."""
+"""`spotcheck metrics`: writes metrics.nc, image metrics of measured and simulated frames side by side."""
 
 import argparse
 
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Evaluate measured and simulated frames by the same functions."""
+    """Evaluate measured and simulated frames by the same functions, and print the number of pairs."""
     names = ("measured", "simulated")
     crops = {name: store.read(path) for name, path in zip(names, args.crops, strict=True)}
     fits = {name: store.read(path) for name, path in zip(names, args.fits, strict=True)}
@@ -27,4 +27,6 @@ def run(args: argparse.Namespace) -> None:
         metrics = compute_metrics(crops, fits, float(sensor["full_scale_dn"]))
     inputs = [*args.crops, *args.fits, args.sensor]
     store.write(metrics, args.output, code=provenance.code_digest(__name__), inputs=inputs)
-    print(f"{int(metrics['psnr'].notnull().sum() / 4)} pairs of frames evaluated")
+    # Each pair has a signal-to-noise ratio PSNR for each registration of the two crops and each data range.
+    values_per_pair = metrics.sizes["registration"] * metrics.sizes["data_range"]
+    print(f"{int(metrics['psnr'].notnull().sum() / values_per_pair)} pairs of frames evaluated")

@@ -1,4 +1,8 @@
-"""`spotcheck new-dataset`: manifest and instrument file of a folder of images, or empty ones to fill in."""
+"""`spotcheck new-dataset`: writes manifest and instrument file of a folder of images, or empty ones to fill in.
+
+The manifest (manifest.csv) has a row per frame, the instrument file (instrument.yaml) has keys such as
+sensor.pixel_pitch_m. An answer is a column or key with its value, which the user gives where files state none.
+"""
 
 import argparse
 import sys
@@ -15,15 +19,15 @@ from spotcheck.errors import InputError
 from spotcheck.io import configuration
 from spotcheck.io.formats.colour import Colour
 
-# Example of an answer, and question, for each column or key that the user is asked for.
+# Column or key that the user is asked for → (example of an answer, meaning of the answer).
 QUESTIONS = {
     "exposure_s": ("2 ms", "exposure time of all frames"),
     POSITION: ("mm", "unit of the positions in the names"),
     "sensor.pixel_pitch_m": ("3.45 um", "pixel pitch of the camera"),
     "laser.wavelength_m": ("632.8 nm", "wavelength of the laser"),
 }
-# Files of other formats that a message lists.
-MOST_OTHERS = 5
+# Largest number of files without an image that a message lists.
+MAX_LISTED = 5
 EXAMPLES = "spotcheck new-dataset new-frames"
 
 
@@ -42,22 +46,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Read what the files state, ask for what is missing, and write both files; existing files are never replaced."""
+    """Read what the files state, ask for what is missing, and write both files.
+
+    Raises `InputError` if one of the files exists, no image can be read, or an answer is impossible.
+    """
     folder, answers = args.folder, dict(_parse_answer(word) for word in args.answers)
     template.check_absent(folder)
     colour = Colour(*(answers.get(key) for key in COLOUR_KEYS))
-    images = scan_folder(folder, colour) if folder.is_dir() else FolderScan((), (), ())
-    if images.errors and not images.frames:
-        hint = ", such as by --set sensor.channel=red" if COLOUR_KEYS[0] in images.errors[0] else ""
-        count = f"; of {len(images.errors)} images none is read" if len(images.errors) > 1 else ""
-        raise InputError(f"{images.errors[0]}{hint}{count}")
-    check_answers(images, answers)
-    if images.frames:
-        _write_rows(folder, images, answers, colour)
+    scan = scan_folder(folder, colour) if folder.is_dir() else FolderScan((), (), ())
+    if scan.errors and not scan.frames:
+        hint = ", such as by --set sensor.channel=red" if COLOUR_KEYS[0] in scan.errors[0] else ""
+        count = f"; of {len(scan.errors)} images none is read" if len(scan.errors) > 1 else ""
+        raise InputError(f"{scan.errors[0]}{hint}{count}")
+    check_answers(scan, answers)
+    if scan.frames:
+        _write_rows(folder, scan, answers, colour)
         next_step = "next"
     else:
         if folder.is_dir():
-            others = f" that is read, but {', '.join(images.unread_files[:MOST_OTHERS])}" if images.unread_files else ""
+            others = f" that is read, but {', '.join(scan.unread_files[:MAX_LISTED])}" if scan.unread_files else ""
             print(f"{folder}: holds no image{others}")
         template.write_template(folder)
         next_step = "fill in the blanks, then"
@@ -66,16 +73,20 @@ def run(args: argparse.Namespace) -> None:
         print(remark)
 
 
-def _write_rows(folder: Path, images: FolderScan, answers: dict[str, str], colour: Colour) -> None:
-    """Print what the files state, ask for what is missing, and write both files with a row per frame."""
-    draft = draft_manifest(images, answers)
-    print(*summarize_scan(str(folder), images, draft), sep="\n")
-    if missing := list(_list_missing(draft)):
+def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour: Colour) -> None:
+    """Print what the files state, ask for what is missing, and write both files with a row per frame.
+
+    `scan` is the content of the folder, `answers` the value of each column or key that the user gave, `colour` the
+    colour that is taken of colour images. The user is asked only at a terminal.
+    """
+    draft = draft_manifest(scan, answers)
+    print(*summarize_scan(str(folder), scan, draft), sep="\n")
+    if missing_keys := list(_list_missing_keys(draft)):
         if sys.stdin.isatty():
-            draft = draft_manifest(images, answers | dict(pair for key in missing if (pair := _ask(images, key))))
+            draft = draft_manifest(scan, answers | dict(pair for key in missing_keys if (pair := _ask_user(scan, key))))
         else:
-            example = f"{missing[0]}={QUESTIONS[missing[0]][0].replace(' ', '')}"
-            print(f"Not found: {', '.join(missing)}.")
+            example = f"{missing_keys[0]}={QUESTIONS[missing_keys[0]][0].replace(' ', '')}"
+            print(f"Not found: {', '.join(missing_keys)}.")
             print(f"Give what you know by options such as --set {example}, or write it into manifest.csv and")
             print("instrument.yaml. Without it the frames are evaluated as far as possible.")
     proposal = propose_crop_size(folder, draft, colour)
@@ -85,21 +96,25 @@ def _write_rows(folder: Path, images: FolderScan, answers: dict[str, str], colou
     template.write_template(folder, draft, proposal.side_px)
 
 
-def _ask(images: FolderScan, key: str) -> tuple[str, str] | None:
-    """Return a key with the answer of the user, who is asked again after an invalid one; None if it is unknown."""
+def _ask_user(scan: FolderScan, key: str) -> tuple[str, str] | None:
+    """Return a key of `QUESTIONS` with the answer of the user; None if the user does not know it.
+
+    The user is asked again after an invalid answer.
+    """
     example, question = QUESTIONS[key]
     while answer := input(f"{key}: {question}, such as {example} (Enter if it is not known): ").strip():
         try:
             pair = _parse_answer(f"{key}={answer}")
-            check_answers(images, dict([pair]))
+            check_answers(scan, dict([pair]))
             return pair
         except InputError as error:
             print(str(error).removeprefix("--set "))
     return None
 
 
-def _list_missing(draft: ManifestDraft) -> Iterator[str]:
-    """Yield the columns and keys that these frames need and no file states."""
+def _list_missing_keys(draft: ManifestDraft) -> Iterator[str]:
+    """Yield the columns of the manifest and keys of the instrument file that these frames need and no file states."""
+    # Columns for which files state values that cannot be used, since a unit is missing or sources disagree.
     unclear = {record.column for record in draft.unused} | {conflict.column for conflict in draft.conflicts}
     if len(draft.missing["exposure_s"]) == len(draft.rows) and "exposure_s" not in unclear:
         yield "exposure_s"
@@ -110,7 +125,7 @@ def _list_missing(draft: ManifestDraft) -> Iterator[str]:
 
 
 def _parse_answer(word: str) -> tuple[str, str]:
-    """Return key and value of KEY=VALUE. Raises `InputError` for an unknown key or an impossible value."""
+    """Return column or key, and value, of a word KEY=VALUE. Raises `InputError` for an unknown key or value."""
     key, equals, value = (part.strip() for part in word.partition("="))
     keys = template.list_settable_keys()
     if not equals or key not in (*METADATA_COLUMNS, *keys) or not value:

@@ -1,4 +1,4 @@
-"""`spotcheck open`: the page of a dataset or of results, in the browser."""
+"""`spotcheck open`: opens the page of a dataset or of results in the browser."""
 
 import argparse
 import webbrowser
@@ -7,6 +7,7 @@ from pathlib import Path
 from spotcheck.errors import InputError
 
 EXAMPLES = "spotcheck open out/my-frames"
+# Names of pages, the most complete first.
 PAGES = ("report.html", "look.html", "comparison.html")
 
 
@@ -17,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Open the page, and print its path."""
+    """Open the page in the browser, and print its path. Raises `InputError` if there is no page."""
     page = find_page(args.place, args.results)
     print(page)
     try:
@@ -29,21 +30,29 @@ def run(args: argparse.Namespace) -> None:
 
 
 def find_page(place: Path, results: Path = Path("results")) -> Path:
-    """Return the page of a dataset, of a folder of results or of a first look.
+    """Return the path of the page of a dataset, of a folder of results, or of a first look at images.
 
-    Raises `InputError` if there is none, and says which command makes one.
+    Parameters
+    ----------
+    place : dataset folder, folder with a page, or the page itself.
+    results : folder that holds a folder of results for each dataset, under the name of the dataset.
+
+    Raises
+    ------
+    InputError
+        There is no page. The message says which command writes one.
     """
     if place.is_file() and place.suffix == ".html":
         return place
     if not place.is_dir():
         raise InputError(f"{place}: no such folder; name a dataset, a folder of results or a page")
-    of_dataset = results / place.resolve().name
-    for page in (folder / name for folder in (place, of_dataset) for name in PAGES):
+    results_folder = results / place.resolve().name
+    for page in (folder / name for folder in (place, results_folder) for name in PAGES):
         if page.exists():
             return page
     if (place / "manifest.csv").exists():
         raise InputError(
-            f"{of_dataset}: has no page yet; run `snakemake --cores 2 --config dataset={place}`, or name the folder"
+            f"{results_folder}: has no page yet; run `snakemake --cores 2 --config dataset={place}`, or name the folder"
             " of the results with --results"
         )
     raise InputError(

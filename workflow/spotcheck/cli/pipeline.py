@@ -1,4 +1,8 @@
-"""Verdict on a dataset in one call: runs the stages of the workflow one after another, without its engine."""
+"""Verdict on a dataset in one call: runs the stages of the workflow one after another, without Snakemake.
+
+The verdict says whether the model of the spots agrees with the frames, and which physical effects it is missing. The
+vocabulary is the list of the effects that it can name.
+"""
 
 import io
 import json
@@ -9,13 +13,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from spotcheck import cli
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.dataset.folder import Dataset, load
 from spotcheck.io import store
 from spotcheck.model.effects import Choice, choose, chosen
 
-# Subcommands with options for the vocabulary.
-WITH_VOCABULARY = ("flats", "judge")
+# Subcommands with the options --effects, --only and --without.
+COMMANDS_WITH_EFFECT_OPTIONS = ("flats", "judge")
 
 
 def judge_dataset(
@@ -65,41 +69,46 @@ def judge_dataset(
     ...
     """
     dataset, previous_choice = load(folder), chosen()
-    vocabulary_options = vocabulary.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
+    effect_words = effect_options.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
     with TemporaryDirectory(prefix="spotcheck-") as temporary:
         output = Path(temporary if results is None else results) / dataset.name
         store.claim(output, dataset.folder)
         try:
             for command, options in _list_stages(dataset, output):
                 words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-                words += vocabulary_options if command in WITH_VOCABULARY else []
+                words += effect_words if command in COMMANDS_WITH_EFFECT_OPTIONS else []
                 # Subcommands print for a terminal.
                 with redirect_stdout(io.StringIO()):
                     cli.run([command, str(dataset.folder), *words])
         finally:
+            # The subcommands have changed the vocabulary of this process.
             choose(previous_choice)
         return json.loads((output / "verdict.json").read_text(encoding="utf-8"))
 
 
 def _list_stages(dataset: Dataset, output: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the subcommands with their options, in the order of the rules of the workflow."""
+    """Yield each subcommand with its options by name, in the order of the rules of the workflow.
+
+    `output` is the folder of the results. Which stages run depends on the kinds of frames in the dataset.
+    """
     frames, crops, transfer, sensor = (output / f"{name}.nc" for name in ("frames", "crops", "transfer", "sensor"))
     verdict = output / "verdict.json"
     yield "ingest", {"output": frames}
-    measured = {}
+    transfer_option = {}
+    # Flats (frames of uniform light) or darks (frames without light).
     if len(dataset.spots) < len(dataset.frames):
         yield "transfer", {"frames": frames, "output": transfer}
-        measured = {"transfer": transfer}
+        transfer_option = {"transfer": transfer}
     if not dataset.spots:
         yield "flats", {"frames": frames, "output": verdict}
         return
     yield "crop", {"frames": frames, "output": crops}
-    yield "sensor", {"crops": crops, "frames": frames, **measured, "output": sensor}
+    yield "sensor", {"crops": crops, "frames": frames, **transfer_option, "output": sensor}
     fits = output / "fits.nc"
-    maps = {}
+    maps_option = {}
     if any(frame.kind == "dark" for frame in dataset.frames):
-        maps = {"maps": output / "maps.nc"}
-        yield "maps", {"frames": frames, "output": maps["maps"]}
-    yield "fit", {"crops": crops, "sensor": sensor, **maps, "output": fits}
+        maps_option = {"maps": output / "maps.nc"}
+        yield "maps", {"frames": frames, "output": maps_option["maps"]}
+    yield "fit", {"crops": crops, "sensor": sensor, **maps_option, "output": fits}
     files = {"pictures": output / "discrepancy.nc", "model": output / "model.yaml", "light": output / "light.nc"}
     yield "judge", {"crops": crops, "fits": fits, "sensor": sensor, **files, "output": verdict}

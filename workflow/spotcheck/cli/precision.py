@@ -1,4 +1,4 @@
-"""`spotcheck precision`: precision.nc."""
+"""`spotcheck precision`: writes precision.nc, the scatter of fits over repeats beside the Cramér-Rao bound."""
 
 import argparse
 
@@ -23,12 +23,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Compare the scatter over repeats with the bound, and compute the bound over exposure."""
+    """Write scatter and bounds of measured and simulated fits, and the bound over exposure time.
+
+    Prints the reason if there is no scatter (`skipped`), or no bound over exposure time (`no_design`).
+    """
     dataset = folder.load(args.dataset)
     fits = {name: store.read(path) for name, path in zip(("measured", "simulated"), args.fits, strict=True)}
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        exposures, crop_px = np.array(dataset.exposures), dataset.instrument.crop_px
-        result = compute_precision(fits, calibration, dataset.instrument, exposures, read_sensor_model(sensor), crop_px)
+        exposures_s, side = np.array(dataset.exposures), dataset.instrument.crop_px
+        result = compute_precision(fits, calibration, dataset.instrument, exposures_s, read_sensor_model(sensor), side)
     inputs = [*args.fits, args.calibration, args.sensor]
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     print(result.attrs.get("skipped") or result.attrs.get("no_design") or "scatter and bounds written")

@@ -1,10 +1,10 @@
-"""`spotcheck report`: report.html."""
+"""`spotcheck report`: writes report.html, one self-contained page of figures, tables and skipped parts."""
 
 import argparse
 import json
 from pathlib import Path
 
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.dataset import folder
 from spotcheck.report.dataset_page.report import write_report
 
@@ -12,18 +12,18 @@ EXAMPLES = "spotcheck report --dataset my-frames --results out/my-frames --outpu
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand to its parser."""
+    """Add the arguments of the subcommand to its parser, also --effects, --only and --without (`effect_options`)."""
     parser.add_argument("--dataset", required=True, help="dataset folder")
     parser.add_argument("--results", required=True, type=Path, help="results folder of the dataset")
     parser.add_argument("--output", required=True, type=Path, help="page to write")
-    vocabulary.add_options(parser)
+    effect_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the page."""
-    vocabulary.apply_options(args)
-    verdict = args.results / "verdict.json"
-    if verdict.exists():
-        vocabulary.check_same(json.loads(verdict.read_text(encoding="utf-8")), str(verdict))
+    """Write the page, and print its size. Raises `InputError` if the verdict was found with other effects."""
+    effect_options.apply_options(args)
+    verdict_path = args.results / "verdict.json"
+    if verdict_path.exists():
+        effect_options.check_same(json.loads(verdict_path.read_text(encoding="utf-8")), str(verdict_path))
     write_report(folder.load(args.dataset), args.results, args.output)
     print(f"{args.output}: {args.output.stat().st_size / 1e6:.1f} MB")

@@ -1,4 +1,8 @@
-"""`spotcheck sensor`: sensor.nc."""
+"""`spotcheck sensor`: writes sensor.nc, the parameters of the sensor that the analysis uses.
+
+A value comes from the data sheet (instrument.yaml) if that gives it, otherwise from flats (frames of uniform light) and
+darks (frames without light), otherwise from the noise of spots.
+"""
 
 import argparse
 
@@ -22,17 +26,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Choose every parameter of the sensor, and print it with its source."""
+    """Choose every parameter of the sensor, and print each with its unit and source, and all remarks."""
     dataset = folder.load(args.dataset)
+    # Quantities of flats and darks by name; --transfer has one path or none.
     measured = {}
     for path in args.transfer:
         with store.read(path) as transfer:
             measured = read_quantities(transfer)
     with store.read(args.crops) as crops, store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
-        chosen = choose_dataset_sensor(dataset, crops, table, measured)
+        sensor = choose_dataset_sensor(dataset, crops, table, measured)
     inputs = [args.crops, args.frames, *args.transfer, *dataset.instrument_files]
-    store.write(chosen, args.output, code=provenance.code_digest(__name__), inputs=inputs)
+    store.write(sensor, args.output, code=provenance.code_digest(__name__), inputs=inputs)
     for name in QUANTITIES:
-        print(f"{name} = {float(chosen[name]):.4g} {chosen[name].attrs['units']} ({chosen[name].attrs['source']})")
-    for remark in store.remarks_of(chosen):
+        print(f"{name} = {float(sensor[name]):.4g} {sensor[name].attrs['units']} ({sensor[name].attrs['source']})")
+    for remark in store.remarks_of(sensor):
         print(remark)

@@ -1,10 +1,14 @@
-"""`spotcheck simulate`: a file of mean images and the folder of simulated frames."""
+"""`spotcheck simulate`: writes a file of mean images, and the folder of a simulated dataset.
+
+The paper's model is a Gaussian spot whose width follows a law over exposure time, from calibration.nc. The extended
+model, from model.yaml, has further physical effects.
+"""
 
 import argparse
 from pathlib import Path
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
-from spotcheck.cli import vocabulary
+from spotcheck.cli import effect_options
 from spotcheck.dataset import folder
 from spotcheck.errors import InputError
 from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, read_width_law
@@ -19,7 +23,7 @@ EXAMPLES = """spotcheck simulate my-frames --calibration out/my-frames/calibrati
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of the subcommand to its parser."""
+    """Add the arguments of the subcommand to its parser, also --effects, --only and --without (`effect_options`)."""
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--calibration", help="calibration.nc; not with --model")
     parser.add_argument("--fits", help="fits.nc; not with --model")
@@ -28,12 +32,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, required=True, help="seed of the random draws")
     parser.add_argument("--folder", required=True, help="folder of the simulated dataset")
     parser.add_argument("--output", required=True, help="simulated.nc or extended.nc to write")
-    vocabulary.add_options(parser)
+    effect_options.add_options(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Simulate every frame of the grid and write the simulated dataset."""
-    vocabulary.apply_options(args)
+    """Simulate every spot frame of the dataset and write the simulated dataset.
+
+    Raises `InputError` for a negative seed, or options that do not go together.
+    """
+    effect_options.apply_options(args)
     dataset = folder.load(args.dataset)
     if args.seed < 0:
         raise InputError(f"--seed: is {args.seed}; it must be 0 or above")
@@ -43,33 +50,35 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _simulate_paper_model(args: argparse.Namespace, dataset: folder.Dataset) -> None:
-    """Simulate with the law of the calibration, or with the fit of each frame if there is none."""
+    """Simulate with the law of calibration.nc, or with the fit of each frame in fits.nc if there is no law."""
     if not args.calibration or not args.fits:
         raise InputError("simulate: the model is missing; give --calibration and --fits, or --model")
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
         source = SIMULATION_ESTIMATOR if read_width_law(calibration) is not None else "none: each frame's own fit"
+        # Peak [DN] and width [px] of the spot in each frame.
         states = list_spot_states(dataset, calibration, fits)
-        model, full_scale = read_sensor_model(sensor), int(sensor["full_scale_dn"])
+        sensor_model, full_scale_dn = read_sensor_model(sensor), int(sensor["full_scale_dn"])
     destination = _make_destination(args, [args.calibration, args.fits, args.sensor])
-    simulation.simulate(dataset, states, model, full_scale, destination, {"calibration": source})
+    simulation.simulate(dataset, states, sensor_model, full_scale_dn, destination, {"calibration": source})
 
 
 def _simulate_extended_model(args: argparse.Namespace, dataset: folder.Dataset) -> None:
-    """Simulate with the parameters of model.yaml."""
+    """Simulate with the parameters of model.yaml. Raises `InputError` if gain or read noise is unknown."""
     if args.calibration or args.fits:
         raise InputError("simulate: --model has all parameters; leave out --calibration and --fits, or --model")
-    path = Path(args.model)
-    model = read_model(path)
-    light = [path.with_name(LIGHT)] if model.lights else []
+    model_path = Path(args.model)
+    model = read_model(model_path)
+    # A learned shape of the light is in light.nc beside model.yaml.
+    light_paths = [model_path.with_name(LIGHT)] if model.lights else []
     with store.read(args.sensor) as sensor:
-        camera = read_sensor_model(sensor)
-    if camera is None:
-        raise InputError(f"{Path(args.sensor).name}: gain or read noise is unknown, but {path.name} needs them")
-    destination = _make_destination(args, [args.model, args.sensor, *light, *args.effects])
-    simulation.simulate_extended(dataset, model, camera, destination, path.name)
+        sensor_model = read_sensor_model(sensor)
+    if sensor_model is None:
+        raise InputError(f"{Path(args.sensor).name}: gain or read noise is unknown, but {model_path.name} needs them")
+    destination = _make_destination(args, [args.model, args.sensor, *light_paths, *args.effects])
+    simulation.simulate_extended(dataset, model, sensor_model, destination, model_path.name)
 
 
 def _make_destination(args: argparse.Namespace, inputs: list[str | Path]) -> simulation.Destination:
-    """Return where the simulated frames are written, and their provenance."""
+    """Return where the simulated frames are written, with their seed and provenance; `inputs` are the files read."""
     code = provenance.code_digest(__name__)
     return simulation.Destination(Path(args.folder), Path(args.output), args.seed, code, inputs)

@@ -1,4 +1,4 @@
-"""The option `--tolerance` of the subcommands that write a verdict."""
+"""The option `--tolerance` of the subcommands that write a verdict on the agreement of model and measurement."""
 
 import argparse
 import json
@@ -12,21 +12,23 @@ from spotcheck.errors import InputError
 class Tolerance:
     """Limits below which a residual is not called a disagreement."""
 
-    of_peak: float = TOLERANCE  # rms residual of mean images, in parts of the peak
-    alpha: float = ALPHA  # rate of false alarms
+    of_peak: float = TOLERANCE  # largest rms residual of mean images, as a part of the spot's peak
+    alpha: float = ALPHA  # p-value of the test below which it counts: the rate of false alarms
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option to a parser."""
-    parser.add_argument("--tolerance", default="{}", help="JSON: of_peak, alpha")
+    """Add the option --tolerance to a parser; its value is the text for `parse_tolerance`."""
+    parser.add_argument("--tolerance", default="{}", help="JSON: of_peak (rms/peak), alpha (rate of false alarms)")
 
 
 def parse_tolerance(text: str) -> Tolerance:
-    """Return the tolerance of a JSON object. Raises `InputError` if it is none."""
+    """Return the tolerance of a JSON object with the keys `of_peak` and `alpha`, which may both be missing.
+
+    Raises `InputError` if the text is no such object.
+    """
     try:
         return Tolerance(**json.loads(text))
     except (TypeError, ValueError):
-        raise InputError(
-            f"--tolerance: {text} is no JSON object of of_peak and alpha; write e.g. "
-            '{"of_peak": 0.002, "alpha": 0.01}'
-        ) from None
+        example = '{"of_peak": 0.002, "alpha": 0.01}'
+        message = f"--tolerance: {text} is no JSON object of of_peak and alpha; write e.g. {example}"
+        raise InputError(message) from None

@@ -1,4 +1,7 @@
-"""`spotcheck transfer`: transfer.nc."""
+"""`spotcheck transfer`: writes transfer.nc, the quantities of EMVA 1288 of the sensor.
+
+They come from flats (frames of uniform light) and darks (frames without light).
+"""
 
 import argparse
 
@@ -20,15 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Characterise the sensor by its flats and darks, and print its parameters."""
+    """Characterise the sensor by its flats and darks, and print all quantities and remarks."""
     dataset = folder.load(args.dataset)
     with store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
-        full_scale, dataset = float(table["full_scale"]), exclude_copies(dataset, table)
-        transfer = analyse_ingested_frames(dataset, full_scale)
-        measured = add_patterns(build_transfer_dataset(transfer, dataset.title, dataset.name), dataset, transfer)
-        measured.attrs["response_bend"] = dataset.instrument.sensor.response_bend
-    store.write(measured, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
-    for quantity in read_quantities(measured).values():
+        dataset = exclude_copies(dataset, table)
+        transfer = analyse_ingested_frames(dataset, float(table["full_scale"]))
+        content = add_patterns(build_transfer_dataset(transfer, dataset.title, dataset.name), dataset, transfer)
+        # The response curvature of the data sheet, which was corrected.
+        content.attrs["response_bend"] = dataset.instrument.sensor.response_bend
+    store.write(content, args.output, code=provenance.code_digest(__name__), inputs=[args.frames])
+    for quantity in read_quantities(content).values():
         print(quantity)
-    for remark in store.remarks_of(measured):
+    for remark in store.remarks_of(content):
         print(remark)

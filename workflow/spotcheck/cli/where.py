@@ -1,11 +1,12 @@
-"""`spotcheck where`: where the results of a dataset are."""
+"""`spotcheck where`: lists where the results of a dataset are."""
 
 import argparse
 from pathlib import Path
 
 from spotcheck.errors import InputError
 
-PLACES = (
+# (name in the results folder, what it contains), in the order of the list.
+RESULTS = (
     ("report.html", "everything on one page"),
     ("figures", "every figure as SVG and PNG"),
     ("paper_numbers.html", "the paper's numbers beside ours"),
@@ -21,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print the results that a person can open. Raises `InputError` if there are none."""
-    present = [(args.results / name, text) for name, text in PLACES if (args.results / name).exists()]
+    """Print the paths of the results that a person can open. Raises `InputError` if there are none."""
+    present = [(args.results / name, text) for name, text in RESULTS if (args.results / name).exists()]
     if not present:
         raise InputError(f"{args.results}: holds no results to look at; name those of a dataset, such as results/mine")
     print("\nWhere to look:")

@@ -20,10 +20,10 @@ import numpy as np
 
 from spotcheck.discrepancy.candidates import changes_mean_image, list_starts, screen_candidates
 from spotcheck.discrepancy.criteria import MIN_GAIN
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, differentiate_readings, evaluate
+from spotcheck.discrepancy.evaluation import differentiate_readings, evaluate
 from spotcheck.discrepancy.evidence import information_beside
 from spotcheck.discrepancy.findings import Advice, NamedEffect
-from spotcheck.discrepancy.frames import Design, FrameParameters, Pixels, thin_pixels
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import LawFit, LawSearch, is_law, spot_conditions
 from spotcheck.model.effect import Effect, EffectScales

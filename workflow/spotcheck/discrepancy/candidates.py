@@ -14,7 +14,6 @@ import numpy as np
 
 from spotcheck.discrepancy.evaluation import (
     SENSOR,
-    SPOT_PARAMETERS,
     Column,
     Evaluation,
     change_of_moments,
@@ -24,7 +23,7 @@ from spotcheck.discrepancy.evaluation import (
     subtract_absorbed,
     sum_batches,
 )
-from spotcheck.discrepancy.frames import conditions_of
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, conditions_of
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel
 from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.shape_grid import HALF_WIDTH

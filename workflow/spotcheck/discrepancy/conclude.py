@@ -204,7 +204,7 @@ def measure_law_shift(analysis: Analysis) -> LawShift:
 
     All values are NaN without laws, or with fewer than two exposures, which determine neither.
     """
-    if analysis.search is None or analysis.laws is None or analysis.search.levels.shape[1] < 2:
+    if analysis.search is None or analysis.laws is None or analysis.search.factors["exposure"].shape[1] < 2:
         return LawShift()
     numbers = replace(analysis.search.numbers, spots=analysis.prepared.declared.model.spots)
     declared = analysis.search.with_numbers(numbers).fit([])
@@ -225,7 +225,7 @@ def _law_values(fit: LawFit) -> tuple[float, float]:
 
 def _law_errors(fit: LawFit) -> tuple[float, float]:
     """Return the standard errors of p1 and p2 [px]; NaN if they were not fitted."""
-    errors = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
+    errors: dict[tuple[str, str], float] = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
     return (float(errors.get(("", "p1"), np.nan)), float(errors.get(("", "p2"), np.nan)))
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spotcheck.discrepancy.frames import Pixels, conditions_of
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Pixels, conditions_of
 from spotcheck.model.conditions import FrameConditions
 from spotcheck.model.effect import AppliedEffect, RandomStep, Step
 from spotcheck.model.forward import SENSOR_STAGES, TABULATED, ForwardModel
@@ -30,8 +30,6 @@ from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMome
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import FreeParameter, JointModel
 
-# Spot parameters of a frame: ln peak, ln σ, x, y. They are the first unknowns of a fit, frame after frame.
-SPOT_PARAMETERS = 4
 # Pixels of a batch: few enough that its arrays stay in the cache of a core.
 BATCH_PIXELS = 100_000
 # Steps of forward differences: SPOT_STEP for ln σ [1] and the centre [σ], PARAMETER_STEP for other parameters, relative

@@ -15,7 +15,6 @@ import numpy as np
 
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_AT_ONE_SITE
 from spotcheck.discrepancy.evaluation import (
-    SPOT_PARAMETERS,
     Evaluation,
     differentiate_readings,
     evaluate,
@@ -23,7 +22,7 @@ from spotcheck.discrepancy.evaluation import (
     rounded_parameter,
     subtract_absorbed,
 )
-from spotcheck.discrepancy.frames import Pixels, thin_pixels
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.normal_equations import assemble, invert_information, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums

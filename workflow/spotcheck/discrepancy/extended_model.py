@@ -15,9 +15,8 @@ from scipy import optimize
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.analysis import Analysis, Setting
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect
-from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import LawSearch, is_law
 from spotcheck.discrepancy.spot_numbers import SpotNumbers

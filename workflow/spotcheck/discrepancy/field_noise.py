@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, evaluate
+from spotcheck.discrepancy.evaluation import evaluate
 from spotcheck.discrepancy.fields import FieldEstimate, correlated_area
-from spotcheck.discrepancy.frames import FrameSet
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, FrameSet
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.residuals import place_on_sensor, whole_crops

@@ -1,4 +1,4 @@
-"""Hot pixels: isolated pixels of the sensor that stand out in the mean over frames."""
+"""Hot pixels: isolated pixels of the sensor whose mean reading over frames is far above that of their neighbours."""
 
 from dataclasses import replace
 
@@ -10,25 +10,41 @@ from spotcheck.discrepancy.frames import FrameSet
 from spotcheck.discrepancy.residuals import place_on_sensor
 from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 
-# Standard deviations and part of the light by which a hot pixel exceeds its neighbours.
+# A hot pixel exceeds its neighbours by LEAST_Z standard deviations plus LEAST_SHARE of its light.
 LEAST_Z, LEAST_SHARE = 8.0, 0.03
-# Part of the highest mean above which pixels show the relative scatter of the light.
-LIT_SHARE = 0.3
-# Relative scatter of the light at a single site from which on single grains stand out like hot pixels.
+# Part of the largest mean light above which pixels are used to estimate the relative scatter of the light.
+BRIGHT_SHARE = 0.3
+# Relative scatter of the light above which grains of a single site cannot be distinguished from hot pixels.
 GRANULAR = 0.2
-# Neighbourhoods of a pixel [px] for its level and for the scatter about it.
+# Sides of the neighbourhoods of a pixel [px] for its level and for the scatter about it.
 LEVEL_PX, SCATTER_PX = 5, 11
 # Standard deviation of a Gaussian over its median absolute deviation.
 MAD_TO_SD = 1.4826
 
 
 def mask_hot_pixels(frames: FrameSet, sensor: SensorModel) -> tuple[FrameSet, int]:
-    """Return the frames without hot pixels, and the number of these; none if spots lie far apart, or where the light of
-    a single site is granular."""
+    """Mask the hot pixels of the sensor in all frames.
+
+    Parameters
+    ----------
+    frames : FrameSet
+        Crops around the spots.
+    sensor : SensorModel
+        Gain, black level and read noise, from which the noise of the mean readings follows.
+
+    Returns
+    -------
+    FrameSet
+        The frames with NaN at hot pixels.
+    int
+        Number of hot pixels. It is 0 without a search if crops lie too far apart to share pixels, or if the light of
+        a single site is granular.
+    """
     _, rows, columns = frames.readings.shape
     extent = (int(np.ptp(frames.top)) + rows, int(np.ptp(frames.left)) + columns)
     if np.prod(extent) > MOST_CANVAS * rows * columns:
         return frames, 0
+    # Mean reading and its noise at each pixel of the part of the sensor that holds all crops [row, column].
     is_known = np.isfinite(frames.readings)
     total = place_on_sensor(np.where(is_known, frames.readings, 0.0), frames.left, frames.top).sum(axis=0, dtype=float)
     count = place_on_sensor(is_known, frames.left, frames.top).sum(axis=0)
@@ -36,13 +52,14 @@ def mask_hot_pixels(frames: FrameSet, sensor: SensorModel) -> tuple[FrameSet, in
     mean[count == 0] = np.median(mean[count > 0])
     light = np.maximum(mean - sensor.black_level_dn, 0.0)
     variance = (sensor.gain_dn_per_e * sensor.read_noise_e) ** 2 + sensor.gain_dn_per_e * light + ROUNDING_VARIANCE
+    # Excess over the neighbours, and its scatter by noise, by structure of the light, and as observed nearby.
     excess = mean - ndimage.median_filter(mean, LEVEL_PX)
-    is_lit = light > LIT_SHARE * light.max()
-    relative = MAD_TO_SD * np.median(np.abs(excess[is_lit] / light[is_lit]))
-    if frames.design.sites == 1 and relative > GRANULAR:
+    is_bright = light > BRIGHT_SHARE * light.max()
+    relative_scatter = MAD_TO_SD * np.median(np.abs(excess[is_bright] / light[is_bright]))
+    if frames.design.sites == 1 and relative_scatter > GRANULAR:
         return frames, 0
-    local = MAD_TO_SD * ndimage.median_filter(np.abs(excess), SCATTER_PX)
-    deviation = np.sqrt(variance / np.maximum(count, 1) + (relative * light) ** 2 + local**2)
+    local_scatter = MAD_TO_SD * ndimage.median_filter(np.abs(excess), SCATTER_PX)
+    deviation = np.sqrt(variance / np.maximum(count, 1) + (relative_scatter * light) ** 2 + local_scatter**2)
     is_hot = (excess > LEAST_Z * deviation + LEAST_SHARE * light) & (count > len(frames) / 2)
     if not is_hot.any():
         return frames, 0

@@ -1,4 +1,9 @@
-"""Judgement on the spot frames of a dataset: the findings, and the files with pictures and the extended model."""
+"""Judgement on the spot frames of a dataset: the findings, and the files with pictures and the extended model.
+
+The declared model is that of instrument.yaml. The extended model has all effects that the frames show as well. Pictures
+are images of what each of both models leaves unexplained. Every third repeat is held out: the searched frames are the
+others.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,34 +34,40 @@ class Judgement:
 
     findings: Findings
     ready: ReadyFrames | None = None  # the frames; None if they could not be assessed
-    analysis: Analysis | None = None  # their analysis
-    final: FinalModel | None = None  # the model with all named effects
+    analysis: Analysis | None = None  # their analysis; None if they could not be assessed
+    final: FinalModel | None = None  # the extended model; None if they could not be assessed
 
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """Files that a judgement is written to beside verdict.json, and their provenance."""
+    """Paths of the files that a judgement is written to, in addition to verdict.json, and their provenance."""
 
-    pictures: str | Path  # discrepancy.nc
-    model: str | Path  # model.yaml
-    light: str | Path  # light.nc
-    code: str  # digest of the code
-    inputs: Sequence[str | Path]  # files that the judgement is made from
+    pictures: str | Path  # path of discrepancy.nc
+    model: str | Path  # path of model.yaml
+    light: str | Path  # path of light.nc
+    code: str  # digest of the code, which is written into each file
+    inputs: Sequence[str | Path]  # files that the judgement is made from, whose digests are written into each file
 
 
 def judge_spots(dataset: Dataset, crops: xr.Dataset, sensor: xr.Dataset, fits: xr.Dataset | None) -> Judgement:
-    """Return the judgement on the spot frames of a dataset.
+    """Assess the spot frames of a dataset: search for effects, fit the extended model and list the findings.
 
     Parameters
     ----------
     dataset : Dataset
-        The dataset.
+        Manifest and instrument.
     crops, sensor : xr.Dataset
         Content of crops.nc and sensor.nc.
     fits : xr.Dataset or None
         Content of fits.nc, from which fits start; None to fit each frame alone first.
+
+    Returns
+    -------
+    Judgement
+        With nothing but a reason in its findings if the frames cannot be assessed.
     """
     ready = prepare_dataset(dataset, crops, sensor, fits)
+    # A text is the reason why the frames cannot be assessed.
     if isinstance(ready, str):
         return Judgement(Findings(reason=ready))
     with progress.track_steps("judging"):
@@ -67,18 +78,24 @@ def judge_spots(dataset: Dataset, crops: xr.Dataset, sensor: xr.Dataset, fits: x
         findings = conclude(analysis, vocabulary, ready.remarks)
         if findings.reason:
             return Judgement(findings)
-        return Judgement(findings, ready, analysis, fit_final_model(analysis, _kept_findings(findings), ready.frames))
+        return Judgement(findings, ready, analysis, fit_final_model(analysis, _select_reliable(findings), ready.frames))
 
 
 def write_model_files(dataset: Dataset, judgement: Judgement, status: str, alpha: float, files: ModelFiles) -> None:
-    """Write discrepancy.nc, model.yaml and light.nc.
+    """Write discrepancy.nc, model.yaml and light.nc; without an assessment they contain the reason alone.
 
     Parameters
     ----------
-    dataset, judgement : the dataset and the judgement on it.
-    status : status of the verdict.
-    alpha : rate of false alarms of the detection.
-    files : files to write.
+    dataset : Dataset
+        Manifest and instrument.
+    judgement : Judgement
+        Judgement on its spot frames.
+    status : str
+        Status of the verdict, as in verdict.json.
+    alpha : float
+        Largest p-value of the detection at which model and frames disagree.
+    files : ModelFiles
+        Paths and provenance.
     """
     findings, ready, analysis, final = judgement.findings, judgement.ready, judgement.analysis, judgement.final
     code, inputs = files.code, files.inputs
@@ -89,9 +106,10 @@ def write_model_files(dataset: Dataset, judgement: Judgement, status: str, alpha
         store.write_text(files.model, no_model_text(dataset.name, findings.reason), code=code, inputs=inputs)
         write_no_light(DECLARED_LIGHT, light)
         return
-    findings = _kept_findings(findings)
+    findings = _select_reliable(findings)
     prepared, searched = analysis.prepared, np.flatnonzero(~ready.frames.held_out())
-    # Both models with the noise of the last fit: the noise of the declared one includes what the model misses.
+    # Both models get the sensor of the extended model, since the read noise that the declared model fits is increased
+    # by its misfit.
     models = {BEFORE: final.with_its_sensor(prepared.declared.model)}
     if findings.effects or findings.light is not None:
         models[AFTER] = final.of_frames(searched, prepared.frames.design)
@@ -108,6 +126,6 @@ def write_model_files(dataset: Dataset, judgement: Judgement, status: str, alpha
         write_no_light(DECLARED_LIGHT, light)
 
 
-def _kept_findings(findings: Findings) -> Findings:
-    """Return the findings; without a converged fit only the declared model is left of them."""
+def _select_reliable(findings: Findings) -> Findings:
+    """Return the findings; if a fit has not converged, without those that go beyond the declared model."""
     return findings if findings.has_converged else drop_fitted_values(findings)

@@ -1,15 +1,20 @@
-"""Laws of brightness and width across frames: generalised least squares beside REML variances of frame and site.
+"""Laws of brightness and width across frames: generalised least squares with REML variances of frames and sites.
 
-Observations are z = (ln peak, ln σ_g) of all frames with their covariance C from the joint fit. Their covariance is
-V = C + components of frame and site in brightness and width, estimated beside a saturated mean (one mean for each cell
-of angle and exposure), so that no missing law can hide in them. Sets of laws are compared by χ² at this one V.
+The law of the exposure is σ_g = p1 ln(t / 1 s) + p2 + σ_laser [px], with the exposure t and the laser's own width
+σ_laser on the sensor; the peak follows from σ_g and t, up to a constant factor. Further laws are effects, such as a
+reflectance that follows the fibre angle. The frames of a site share angle, declared conditions and repeat.
+
+Observations are z = (ln peak of F frames, ln σ_g of F frames) [2F]. Their total covariance V is the covariance C of the
+joint fit plus the variance components, which are scatter from frame to frame and from site to site. These are estimated
+beside a saturated mean (`spot_components`), so that no missing law increases them. Sets of laws are compared by
+χ² = r' V⁻¹ r of the residuals r with the same V.
 """
 
 import copy
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special, stats
@@ -17,43 +22,61 @@ from scipy import special, stats
 from spotcheck.discrepancy.candidates import SPOT_STAGES
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, LAW_TIE, MIN_GAIN, MIN_Z, VARIANT_TIE
 from spotcheck.discrepancy.evidence import is_negligible
-from spotcheck.discrepancy.frames import Design
+from spotcheck.discrepancy.frames import LOG_PEAK, LOG_SIGMA, Design
 from spotcheck.discrepancy.mixed_model import Interval, fit_reml
 from spotcheck.discrepancy.normal_equations import invert_information
+from spotcheck.discrepancy.spot_components import LEAST_FREE, build_components, build_factors, build_saturated_mean
 from spotcheck.discrepancy.spot_numbers import SpotNumbers
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, Need, RandomStep
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 
-# Most laws in one set, and sets that are extended by one more law.
-MOST_LAWS, BEAM = 4, 5
-# Degrees of freedom beside the saturated mean without which no component is estimated.
-LEAST_FREE = 4
-# Drop of −2 ln L without which a variance component is left out: that gives better errors.
+# All sets of up to EXHAUSTIVE_SIZE laws are tried; the BEAM best sets of a size are extended, up to MOST_LAWS laws.
+EXHAUSTIVE_SIZE, BEAM, MOST_LAWS = 2, 5, 4
+# Drop of −2 ln L below which a variance component is left out: the errors of the others are then better.
 COMPONENT_GAIN = 6.0
 # Most steps of a fit of laws, and the promised drop of χ² at which it has converged.
 ITERATIONS, TOLERANCE = 40, 1e-4
-# Most halvings of a step of such a fit.
+# Most trials of a step of such a fit, each with half the step of the one before.
 MOST_HALVINGS = 12
-# Relative step of differences, and the scale of parameters near 0.
+# Relative singular values below which columns count as dependent: in a step of a fit, and in the rank of a test.
+STEP_RCOND, RANK_RCOND = 1e-10, 1e-9
+# Step of finite differences relative to the parameter, and the least value that counts for it, relative to the range.
 DIFFERENCE, LEAST_SCALE = 1e-6, 1e-2
 # Part of the range of a parameter that one step may cross.
 LARGEST_STEP = 0.3
 # Range of the degrees of freedom of Student's t.
 LEAST_FREEDOM, LARGEST_FREEDOM = 2.0, 1e5
-# Factor of the design that the lack of fit of a law is tested over.
+# Logarithm of the least probability that is converted to z, and the z of all below it.
+LEAST_LOG_P, LARGEST_Z = -690.0, 37.0
+# Factor of the design over which the lack of fit of a law is tested.
 FACTORS = {Need.ANGLES: "angle", Need.EXPOSURES: "exposure", Need.THREE_EXPOSURES: "exposure", Need.ORDER: "order"}
 
 
+class LawParameter(NamedTuple):
+    """A fitted parameter of a set of laws."""
+
+    effect: str  # name of the effect; "" for the law of the exposure
+    name: str  # name of the parameter, or of the field of `ExposureLaw`
+
+
+PEAK = LawParameter("", "peak_dn")
+# Sorted names of the effects of a set of laws.
+LawNames = tuple[str, ...]
+
+
 def is_law(effect: Effect) -> bool:
-    """Return whether an effect is a law of brightness or width across frames."""
+    """Return whether an effect changes only brightness and width of frames, and follows a formula, not chance."""
     steps = [step for steps in effect.variants.values() for step in steps]
     return bool(steps) and all(step.stage in SPOT_STAGES and not isinstance(step, RandomStep) for step in steps)
 
 
 def spot_conditions(design: Design) -> FrameConditions:
-    """Return the conditions of frames for what does not depend on pixels; arrays [frame, 1, 1]."""
+    """Return the conditions of frames for stages that do not depend on pixels, as arrays [frame, 1, 1].
+
+    Pixels and centres are placeholders at 0 px.
+    """
     nowhere = np.zeros((len(design.site), 1, 1))
     exposure_s, angle, order = (v[:, None, None] for v in (design.exposure_s, design.angle, design.order))
     grid = PixelGrid(nowhere, nowhere, 1, 1)
@@ -65,123 +88,101 @@ class LawFit:
     """A fitted set of laws."""
 
     law: ExposureLaw  # p1, p2 and the peak at the longest exposure
-    effects: tuple[AppliedEffect, ...]  # the laws beside it
-    names: tuple[tuple[str, str], ...]  # (effect, parameter) of each fitted parameter; effect "" for the exposure law
-    covariance: np.ndarray  # of the fitted parameters
+    effects: tuple[AppliedEffect, ...]  # the other laws of the set
+    names: tuple[LawParameter, ...]  # fitted parameters
+    covariance: np.ndarray  # covariance of the fitted parameters [parameter, parameter]
     chi2: float  # r' V⁻¹ r
     jacobian: np.ndarray  # derivatives of the observations by the parameters [2F, parameter]
-    residual: np.ndarray  # observations less their means [2F]
+    residual: np.ndarray  # r, observations less their means [2F]
     has_converged: bool  # whether the promised drop of χ² is below the tolerance
 
 
 @dataclass(frozen=True)
 class NamedLaw:
-    """A law that the frames show."""
+    """A law of the best set, with the tests that decide whether it is named in the verdict."""
 
-    applied: AppliedEffect  # with its values
-    intervals: dict[str, Interval]  # of its parameters
-    z: float  # normal equivalent of its test
-    gain: float  # drop of χ² by it beside the others
-    reasons: tuple[str, ...]  # against naming it; empty: it is named
+    applied: AppliedEffect  # the law with its fitted values
+    intervals: dict[str, Interval]  # 95 % intervals of its parameters by name, in their units
+    z: float  # the smaller of √gain and the normal equivalent of the t test of its strength
+    gain: float  # drop of χ² by it beside the other laws of the set
+    reasons: tuple[str, ...]  # reasons against naming it; empty if it is named
 
 
 class LawSearch:
-    """Laws of the numbers of a set of frames."""
+    """Search for laws in the spot parameters of a set of F frames.
+
+    Attributes
+    ----------
+    numbers, design, frames : spot parameters of the frames with their covariance; conditions; number F.
+    forward : baseline and sensor, without effects.
+    observations, noise : z [2F] and its covariance C by the joint fit [2F, 2F].
+    factors, saturated_mean : columns that depend on angle, exposure and order, by `spot_components`.
+    components, variances : needed variance components by name, as covariances [2F, 2F]; estimates of their variances.
+    inverse, whitening : V⁻¹, and a matrix W with W'W = V⁻¹ [2F, 2F].
+    """
 
     def __init__(self, numbers: SpotNumbers, forward: ForwardModel, scales: EffectScales) -> None:
+        """Estimate the variance components; `scales` give bounds and starting values of effects."""
         self.numbers, self.scales = numbers, scales
         self.forward = replace(forward, effects=())
         self.design, self.frames = numbers.design, len(numbers.spots.x)
-        self.observations, self.noise = numbers.observations, numbers.covariance_of(0, 1)
+        self.observations, self.noise = numbers.observations, numbers.covariance_of(LOG_PEAK, LOG_SIGMA)
         self.conditions = spot_conditions(self.design)
-        self.levels = _one_hot(self.design.exposure_s)
-        self.factors = {
-            "angle": _one_hot(self.design.angle),
-            "exposure": self.levels,
-            "order": np.stack([(self.design.order - 0.5) ** k for k in range(1, 5)], 1),
-        }
-        self.components = self._needed_components()
+        self.factors = build_factors(self.design)
+        self.saturated_mean = build_saturated_mean(self.design, self.factors)
+        self.components = self._select_components()
         self.variances = fit_reml(self.observations, self.saturated_mean, self.noise, self.components)
         self._whiten()
 
     def _whiten(self) -> None:
-        """Set the inverse of the covariance of the observations, and its root."""
-        total = self.noise + sum(
-            (v * m for v, m in zip(self.variances.variance, self.components.values(), strict=True)),
-            np.zeros_like(self.noise),
-        )
+        """Set `inverse` and `whitening` from noise and variance components."""
+        estimates = zip(self.variances.variance, self.components.values(), strict=True)
+        total = self.noise + sum(variance * component for variance, component in estimates)
         self.inverse = np.linalg.inv(total)
         self.whitening = np.linalg.cholesky(self.inverse).T
 
     def with_numbers(self, numbers: SpotNumbers) -> "LawSearch":
-        """Return the search on other numbers of the same frames, beside the same variances of frames and sites."""
+        """Return the search on other spot parameters of the same frames, with the same variance components."""
         other = copy.copy(self)
-        other.numbers, other.observations, other.noise = numbers, numbers.observations, numbers.covariance_of(0, 1)
+        other.numbers, other.observations = numbers, numbers.observations
+        other.noise = numbers.covariance_of(LOG_PEAK, LOG_SIGMA)
         other._whiten()
         return other
 
-    # Variance components.
-
-    @cached_property
-    def saturated_mean(self) -> np.ndarray:
-        """Columns [2F, k] of a mean that no law can add to."""
-        keys = np.stack([self.design.angle, self.design.exposure_s], 1)
-        cell = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
-        is_repeated = np.median(np.bincount(cell)) >= 2
-        mean = _one_hot(cell) if is_repeated else np.hstack([self.factors["angle"], self.factors["exposure"]])
-        slow = np.zeros((self.frames, 0))
-        if self.design.has_order and self.frames - np.linalg.matrix_rank(mean) > LEAST_FREE:
-            slow = self.factors["order"][:, :2]
-        zero = np.zeros_like(mean)
-        return np.block([[mean, zero, slow], [zero, mean, np.zeros_like(slow)]])
-
     @property
     def can_estimate(self) -> bool:
-        """Whether repeated cells leave enough degrees of freedom for variance components."""
+        """Whether the saturated mean leaves enough degrees of freedom for variance components."""
         return 2 * self.frames - np.linalg.matrix_rank(self.saturated_mean) >= LEAST_FREE
 
-    def all_components(self) -> dict[str, np.ndarray]:
-        """Return the covariance [2F, 2F] of each component at a variance of 1."""
-        site = _one_hot(self.design.site)
-        same_site, identity, zero = site @ site.T, np.eye(self.frames), np.zeros((self.frames, self.frames))
-        out = {
-            "frame brightness": np.block([[identity, zero], [zero, zero]]),
-            "frame width": np.block([[zero, zero], [zero, identity]]),
-        }
-        if same_site.sum() > self.frames:
-            out["site brightness"] = np.block([[same_site, zero], [zero, zero]])
-            out["site width"] = np.block([[zero, zero], [zero, same_site]])
-        # If errors of the numbers are understated, ln peak and ln σ scatter along their common ridge.
-        out["frame noise"] = np.block([[identity, identity], [identity, identity]]) * self.noise
-        return out
+    def _select_components(self) -> dict[str, np.ndarray]:
+        """Return the needed variance components, after removing the one with the least gain again and again.
 
-    def _needed_components(self) -> dict[str, np.ndarray]:
-        """Return the components that −2 ln L speaks for; that of the frames' brightness stays, since others that are
-        free beside it would halve it by chance."""
+        "frame brightness" always stays: with other free components beside it, chance would halve it.
+        """
         if not self.can_estimate:
             return {}
-        kept = self.all_components()
+        components = build_components(self.design, self.noise)
         while True:
-            full = fit_reml(self.observations, self.saturated_mean, self.noise, kept).deviance
+            deviance = self.deviance_of(components)
             gains = {
-                name: self.deviance_of({key: kept[key] for key in kept if key != name}) - full
-                for name in kept
+                name: self.deviance_of({key: components[key] for key in components if key != name}) - deviance
+                for name in components
                 if name != "frame brightness"
             }
-            least = min(gains, key=lambda name: gains[name], default=None)
-            if least is None or gains[least] > COMPONENT_GAIN:
-                return kept
-            kept.pop(least)
+            weakest = min(gains, key=lambda name: gains[name], default=None)
+            if weakest is None or gains[weakest] > COMPONENT_GAIN:
+                return components
+            components.pop(weakest)
 
     def deviance_of(self, components: dict[str, np.ndarray]) -> float:
-        """Return −2 ln L of the numbers under some components beside the saturated mean."""
+        """Return −2 ln L (REML) of the observations with some variance components beside the saturated mean."""
         return fit_reml(self.observations, self.saturated_mean, self.noise, components).deviance
 
-    # Fits.
-
     def fit(self, effects: Sequence[Effect]) -> LawFit:
-        """Return the best fit of a set of laws over their variants and starting points; of variants that tie, the
-        first."""
+        """Return the best fit of a set of laws over their variants and starting points.
+
+        A later variant must lower χ² by more than `VARIANT_TIE` to replace an earlier one.
+        """
         best: LawFit | None = None
         for variants in itertools.product(*(effect.variants for effect in effects)):
             choices = [[AppliedEffect(effect, variant, tuple(start)) for start in effect.starts(self.scales)]
@@ -193,21 +194,26 @@ class LawSearch:
         return best
 
     def _fit_from(self, effects: tuple[AppliedEffect, ...]) -> LawFit:
+        """Fit the law of the exposure and effects from their starting values, by Gauss–Newton steps.
+
+        p1 is fixed with a single exposure. An effect may replace it; it is then 0, and p2 starts at the mean width.
+        """
         replaced = {name for applied in effects for name in applied.effect.replaces}
-        names = [("", "peak_dn"), ("", "p2")]
-        if self.levels.shape[1] > 1 and "p1" not in replaced:
-            names.append(("", "p1"))
-        names += [(applied.effect.name, parameter.name) for applied in effects
+        names = [PEAK, LawParameter("", "p2")]
+        if self.factors["exposure"].shape[1] > 1 and "p1" not in replaced:
+            names.append(LawParameter("", "p1"))
+        names += [LawParameter(applied.effect.name, parameter.name) for applied in effects
                   for parameter in applied.effect.parameters_of(applied.variant)]  # fmt: skip
-        model = replace(self.forward, law=self._start(), effects=effects)
+        law = self._guess_law()
         if replaced:
-            broadening = float(np.exp(np.mean(self.numbers.spots.log_sigma)) - self.forward.baseline.laser_px)
-            model = replace(model, law=replace(self._start(), p1=0.0, p2=broadening))
+            mean_sigma_px = np.exp(np.mean(self.numbers.spots.log_sigma))
+            law = replace(law, p1=0.0, p2=float(mean_sigma_px - self.forward.baseline.laser_px))
+        model = replace(self.forward, law=law, effects=effects)
         has_converged = False
         for _ in range(ITERATIONS):
             mean, jacobian = self._linearize(model, names)
             whitened = self.whitening @ jacobian
-            step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=1e-10)[0]
+            step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=STEP_RCOND)[0]
             has_converged = bool(np.sum((whitened @ step) ** 2) < TOLERANCE)
             model = self._descend(model, names, step)
             if has_converged:
@@ -219,8 +225,11 @@ class LawSearch:
         assert model.law is not None
         return LawFit(model.law, model.effects, tuple(names), covariance, chi2, jacobian, residual, has_converged)
 
-    def _descend(self, model: ForwardModel, names: Sequence[tuple[str, str]], step: np.ndarray) -> ForwardModel:
-        """Return the model after the largest of a step, its half, its quarter … that does not raise χ², or as it is."""
+    def _descend(self, model: ForwardModel, names: Sequence[LawParameter], step: np.ndarray) -> ForwardModel:
+        """Return the model after the first of a step [parameter], its half, its quarter … that does not raise χ².
+
+        The model is returned as it is if all of them raise χ².
+        """
         chi2 = self._chi2_of(model)
         for halvings in range(MOST_HALVINGS):
             moved = self._move(model, names, step / 2**halvings)
@@ -229,113 +238,120 @@ class LawSearch:
         return model
 
     def _chi2_of(self, model: ForwardModel) -> float:
-        """Return χ² of the numbers under a model; infinite outside its domain."""
+        """Return χ² of the observations under a model; infinite where the model gives no finite mean."""
         chi2 = float(np.sum((self.whitening @ (self.observations - self.mean_of(model))) ** 2))
         return chi2 if np.isfinite(chi2) else np.inf
 
-    def _start(self) -> ExposureLaw:
-        """Return p1, p2 and the peak from a straight line through the widths."""
+    def _guess_law(self) -> ExposureLaw:
+        """Return a start of the exposure law.
+
+        p1 and p2 [px] are a least-squares line through σ_g − σ_laser over ln t (p1 = 0 with a single exposure). The
+        peak [DN] then fits the mean of ln peak.
+        """
         baseline, design = self.forward.baseline, self.design
-        broadening = np.exp(self.numbers.spots.log_sigma) - baseline.laser_px
-        if self.levels.shape[1] > 1:
-            p1, p2 = np.polyfit(np.log(design.exposure_s), broadening, 1)
+        broadening_px = np.exp(self.numbers.spots.log_sigma) - baseline.laser_px
+        if self.factors["exposure"].shape[1] > 1:
+            p1, p2 = np.polyfit(np.log(design.exposure_s), broadening_px, 1)
         else:
-            p1, p2 = 0.0, float(np.mean(broadening))
-        law = ExposureLaw(float(p1), float(p2), 1.0)
+            p1, p2 = 0.0, float(np.mean(broadening_px))
+        law = ExposureLaw(float(p1), float(p2), peak_dn=1.0)
         peak = replace(self.forward, law=law).spot(self.conditions).peak_dn
         return replace(law, peak_dn=float(np.exp(np.mean(self.numbers.spots.log_peak - np.log(np.ravel(peak))))))
 
     def mean_of(self, model: ForwardModel, conditions: FrameConditions | None = None) -> np.ndarray:
-        """Return ln peak, then ln σ_g of all frames under a model with a law [2F]; NaN outside its domain."""
+        """Return the mean of the observations under a model with a law [2F]; NaN where peak or σ_g is negative.
+
+        `conditions` of F frames replace those of the search.
+        """
         with np.errstate(all="ignore"):
             spot = model.spot(conditions or self.conditions)
-            parts = [
-                np.log(np.broadcast_to(part, (self.frames, 1, 1)).ravel()) for part in (spot.peak_dn, spot.sigma_px)
-            ]
-        return np.concatenate(parts)
+            return np.concatenate(
+                [np.log(np.broadcast_to(v, (self.frames, 1, 1)).ravel()) for v in (spot.peak_dn, spot.sigma_px)]
+            )
 
-    def _linearize(self, model: ForwardModel, names: Sequence[tuple[str, str]]) -> tuple[np.ndarray, np.ndarray]:
+    def _linearize(self, model: ForwardModel, names: Sequence[LawParameter]) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean [2F] and forward-difference derivatives [2F, parameter] of the observations; 0 instead of NaN."""
         mean = self.mean_of(model)
         columns = []
-        for name in names:
-            value = _value_of(model, name)
-            step = DIFFERENCE * max(abs(value), self._scale_of(model, name))
-            columns.append((self.mean_of(_with_value(model, name, value + step)) - mean) / step)
+        for parameter in names:
+            value, (low, high) = _value_of(model, parameter), self._bounds_of(model, parameter)
+            step = DIFFERENCE * max(abs(value), LEAST_SCALE * (high - low) if np.isfinite(high - low) else 1.0)
+            columns.append((self.mean_of(_with_value(model, parameter, value + step)) - mean) / step)
         jacobian = np.stack(columns, 1)
         return np.nan_to_num(mean), np.nan_to_num(jacobian)
 
-    def _scale_of(self, model: ForwardModel, name: tuple[str, str]) -> float:
-        if not name[0]:
-            return 1.0
-        low, high = self._bounds_of(model, name)
-        return LEAST_SCALE * (high - low) if np.isfinite(high - low) else 1.0
+    def _bounds_of(self, model: ForwardModel, parameter: LawParameter) -> tuple[float, float]:
+        """Return the lowest and the highest value of a parameter; infinite for the law of the exposure."""
+        if not parameter.effect:
+            return -np.inf, np.inf
+        applied = next(applied for applied in model.effects if applied.effect.name == parameter.effect)
+        return dict(zip(applied.parameters, applied.effect.bounds(self.scales), strict=True))[parameter.name]
 
-    def _bounds_of(self, model: ForwardModel, name: tuple[str, str]) -> tuple[float, float]:
-        applied = next(applied for applied in model.effects if applied.effect.name == name[0])
-        return dict(zip(applied.parameters, applied.effect.bounds(self.scales), strict=True))[name[1]]
+    def _move(self, model: ForwardModel, names: Sequence[LawParameter], step: np.ndarray) -> ForwardModel:
+        """Return the model after a step [parameter].
 
-    def _move(self, model: ForwardModel, names: Sequence[tuple[str, str]], step: np.ndarray) -> ForwardModel:
-        """Return the model after a step, shortened so that no parameter of an effect crosses much of its range."""
-        part = 1.0
-        for name, change in zip(names, step, strict=True):
-            if name[0]:
-                low, high = self._bounds_of(model, name)
-                if np.isfinite(high - low) and abs(change) > LARGEST_STEP * (high - low):
-                    part = min(part, LARGEST_STEP * (high - low) / abs(change))
-        for name, change in zip(names, step, strict=True):
-            value = _value_of(model, name) + part * change
-            if name == ("", "peak_dn"):
-                value = _value_of(model, name) * np.exp(np.clip(part * change / _value_of(model, name), -1, 1))
-            if name[0]:
-                value = float(np.clip(value, *self._bounds_of(model, name)))
-            model = _with_value(model, name, float(value))
+        The whole step is shortened until no parameter crosses more than `LARGEST_STEP` of its range.
+        """
+        fraction = 1.0
+        for parameter, change in zip(names, step, strict=True):
+            low, high = self._bounds_of(model, parameter)
+            if np.isfinite(high - low) and abs(change) > LARGEST_STEP * (high - low):
+                fraction = min(fraction, LARGEST_STEP * (high - low) / abs(change))
+        for parameter, change in zip(names, step, strict=True):
+            old = _value_of(model, parameter)
+            value = old + fraction * change
+            if parameter == PEAK:
+                # A logarithmic step of at most a factor e keeps the peak above 0.
+                value = old * np.exp(np.clip(fraction * change / old, -1, 1))
+            model = _with_value(model, parameter, float(np.clip(value, *self._bounds_of(model, parameter))))
         return model
 
-    # Selection.
+    def select(self, effects: Sequence[Effect]) -> tuple[LawNames, list[LawNames], dict[LawNames, LawFit]]:
+        """Return the best set of laws, its rivals, and the fits of all sets tried.
 
-    def select(self, effects: Sequence[Effect]) -> tuple[tuple[Effect, ...], list[tuple[Effect, ...]], dict]:
-        """Return the set of laws with the least χ² + MIN_GAIN per law, its rivals, and the fit of each set tried.
-
-        All sets of one and two laws are tried, larger ones as extensions of the best.
+        The best set has the least χ² + `MIN_GAIN` per law. Rivals are sets of as many laws whose χ² is less than
+        `LAW_TIE` larger.
         """
-        fits: dict[tuple[str, ...], LawFit] = {(): self.fit(())}
-        sets: dict[tuple[str, ...], tuple[Effect, ...]] = {(): ()}
+        fits: dict[LawNames, LawFit] = {(): self.fit(())}
+        sets: dict[LawNames, tuple[Effect, ...]] = {(): ()}
 
-        def cost(names: tuple[str, ...]) -> float:
+        def cost(names: LawNames) -> float:
+            """Return χ² + `MIN_GAIN` per law of a set that was tried."""
             return fits[names].chi2 + MIN_GAIN * len(names)
 
-        best_of_size: list[tuple[str, ...]] = [()]
+        best_of_size: list[LawNames] = []
         for size in range(1, MOST_LAWS + 1):
-            if size <= 2:
-                tried = list(itertools.combinations(effects, size))
+            if size <= EXHAUSTIVE_SIZE:
+                candidates = list(itertools.combinations(effects, size))
             else:
-                tried = [
+                candidates = [
                     (*sets[names], effect) for names in best_of_size for effect in effects if effect.name not in names
                 ]
-            keys = []
-            for laws in tried:
+            tried = set()
+            for laws in candidates:
                 names = tuple(sorted(effect.name for effect in laws))
-                keys.append(names)
+                tried.add(names)
                 if names not in fits:
                     fits[names], sets[names] = self.fit(laws), laws
-            best_of_size = sorted(set(keys), key=cost)[:BEAM]
+            best_of_size = sorted(tried, key=cost)[:BEAM]
+            # Pairs are tried even if no single law helps, since a law may need another one beside it.
             if not best_of_size or (size > 1 and cost(best_of_size[0]) > min(map(cost, fits))):
                 break
         best = min(fits, key=cost)
         limit = fits[best].chi2 + LAW_TIE
-        rivals = [sets[names] for names, fit in fits.items()
-                  if names != best and len(names) == len(best) and fit.chi2 < limit]  # fmt: skip
-        return sets[best], rivals, fits
+        others = [names for names in fits if names != best and len(names) == len(best)]
+        return best, [names for names in others if fits[names].chi2 < limit], fits
 
     def judge(self, applied: AppliedEffect, fit: LawFit, gain: float) -> NamedLaw:
-        """Return what speaks for and against one law of a fitted set; `gain` is the drop of χ² by it."""
-        rows = [k for k, name in enumerate(fit.names) if name[0] == applied.effect.name]
+        """Test one law of a fitted set; `gain` is the drop of χ² by it, NaN if unknown."""
+        rows = [k for k, parameter in enumerate(fit.names) if parameter.effect == applied.effect.name]
+        # The first parameter of an effect is its strength. Its estimate is a weighted sum of the observations.
         weights = self.inverse @ fit.jacobian @ fit.covariance[:, rows[0]]
         dof = self.degrees_of_freedom(weights, fit.covariance[rows[0], rows[0]])
         quantile = float(stats.t.ppf(0.975, dof))
         errors = np.sqrt(np.diag(fit.covariance)[rows])
         intervals = {
-            fit.names[k][1]: Interval.around(applied.parameters[fit.names[k][1]], error, quantile)
+            fit.names[k].name: Interval.around(applied.parameters[fit.names[k].name], error, quantile)
             for k, error in zip(rows, errors, strict=True)
         }
         distance = applied.values[0] - applied.effect.vanishes_at
@@ -354,8 +370,10 @@ class LawSearch:
         return NamedLaw(applied, intervals, z, gain, tuple(reasons))
 
     def degrees_of_freedom(self, weights: np.ndarray, variance: float) -> float:
-        """Return Satterthwaite's degrees of freedom of a weighted sum of the observations [2F] with a variance, since
-        the variance components are estimates."""
+        """Return Satterthwaite's degrees of freedom of a weighted sum of the observations.
+
+        They are finite because the variance components are estimates. `weights` [2F]; `variance` is that of the sum.
+        """
         if not self.components:
             return LARGEST_FREEDOM
         gradient = np.array([weights @ matrix @ weights for matrix in self.components.values()])
@@ -363,64 +381,68 @@ class LawSearch:
         return float(np.clip(2 * variance**2 / max(spread, 1e-300), LEAST_FREEDOM, LARGEST_FREEDOM))
 
     def lack_of_fit(self, fit: LawFit, factor: str) -> tuple[float, int]:
-        """Return the drop of χ² when the means of a factor's levels are freed, and its degrees of freedom."""
+        """Return the drop of χ² when the columns of a factor are added to a fit, and its degrees of freedom.
+
+        They are added to ln peak; those of the exposure to ln σ_g as well, since both follow the exposure.
+        """
         columns = self.factors[factor]
         zero = np.zeros_like(columns)
-        freed = np.block([[columns, zero], [zero, columns]]) if factor == "exposure" else np.block([[columns], [zero]])
+        added = np.block([[columns, zero], [zero, columns]]) if factor == "exposure" else np.block([[columns], [zero]])
         residual = self.whitening @ fit.residual
 
-        def explained(matrix: np.ndarray) -> tuple[float, int]:
+        def explain(matrix: np.ndarray) -> tuple[float, int]:
+            """Return the part of χ² that the columns of a matrix [2F, k] explain, and their rank."""
             left, singular, _ = np.linalg.svd(self.whitening @ matrix, full_matrices=False)
-            used = singular > 1e-9 * singular[0]
+            used = singular > RANK_RCOND * singular[0]
             return float(np.sum((left[:, used].T @ residual) ** 2)), int(used.sum())
 
-        with_levels, rank = explained(np.hstack([fit.jacobian, freed]))
-        alone, rank_alone = explained(fit.jacobian)
-        return with_levels - alone, rank - rank_alone
+        with_factor, rank = explain(np.hstack([fit.jacobian, added]))
+        without, rank_without = explain(fit.jacobian)
+        return with_factor - without, rank - rank_without
 
 
 @dataclass(frozen=True)
 class FoundLaws:
     """The best set of laws of some frames."""
 
-    fit: LawFit  # its fit
-    laws: tuple[NamedLaw, ...]  # its laws
-    rivals: Mapping[tuple[str, ...], float]  # sets that the frames cannot tell from it: how much larger χ² is
+    fit: LawFit  # fit of the best set
+    laws: tuple[NamedLaw, ...]  # its laws with their tests
+    rivals: Mapping[LawNames, float]  # excess of χ² of each set that fits about as well, by its names
 
 
 def find_laws(search: LawSearch, effects: Sequence[Effect]) -> FoundLaws:
-    """Return the best set of laws, and the sets that the frames cannot tell from it."""
+    """Return the best set of laws with the test of each, and its rivals.
+
+    The gain of a law is NaN if the search has not tried the set without it.
+    """
     best, rivals, fits = search.select(effects)
-    names = tuple(sorted(effect.name for effect in best))
-    fit = fits[names]
-    laws = []
+    fit, laws = fits[best], []
     for applied in fit.effects:
-        rest = tuple(name for name in names if name != applied.effect.name)
-        gain = fits[rest].chi2 - fit.chi2 if rest in fits else np.nan
+        others = tuple(name for name in best if name != applied.effect.name)
+        gain = fits[others].chi2 - fit.chi2 if others in fits else np.nan
         laws.append(search.judge(applied, fit, gain))
-    keys = [tuple(sorted(effect.name for effect in effects)) for effects in rivals]
-    return FoundLaws(fit, tuple(laws), {key: fits[key].chi2 - fit.chi2 for key in keys})
+    return FoundLaws(fit, tuple(laws), {names: fits[names].chi2 - fit.chi2 for names in rivals})
 
 
 def upper_tail_z(log_p: float) -> float:
-    """Return the normal z of the logarithm of an upper-tail probability."""
-    return float(-special.ndtri_exp(log_p)) if np.isfinite(log_p) and log_p > -690 else 37.0
+    """Return the normal z of an upper-tail probability, given as its natural logarithm; `LARGEST_Z` if it is NaN."""
+    return float(-special.ndtri_exp(log_p)) if np.isfinite(log_p) and log_p > LEAST_LOG_P else LARGEST_Z
 
 
-def _one_hot(values: np.ndarray) -> np.ndarray:
-    """Return indicators [frame, level] of the distinct values."""
-    return (values[:, None] == np.unique(values)[None]).astype(float)
+def _value_of(model: ForwardModel, parameter: LawParameter) -> float:
+    """Return the value of a parameter of a model, in its unit."""
+    if not parameter.effect:
+        return getattr(model.law, parameter.name)
+    applied = next(applied for applied in model.effects if applied.effect.name == parameter.effect)
+    return applied.parameters[parameter.name]
 
 
-def _value_of(model: ForwardModel, name: tuple[str, str]) -> float:
-    if not name[0]:
-        return getattr(model.law, name[1])
-    return next(applied for applied in model.effects if applied.effect.name == name[0]).parameters[name[1]]
-
-
-def _with_value(model: ForwardModel, name: tuple[str, str], value: float) -> ForwardModel:
-    if not name[0]:
+def _with_value(model: ForwardModel, parameter: LawParameter, value: float) -> ForwardModel:
+    """Return the model with another value of a parameter."""
+    if not parameter.effect:
         assert model.law is not None
-        return replace(model, law=replace(model.law, **{name[1]: value}))
-    effects = tuple(a.with_value(name[1], value) if a.effect.name == name[0] else a for a in model.effects)
+        return replace(model, law=replace(model.law, **{parameter.name: value}))
+    effects = tuple(
+        a.with_value(parameter.name, value) if a.effect.name == parameter.effect else a for a in model.effects
+    )
     return replace(model, effects=effects)

@@ -1,9 +1,14 @@
 """Upper limits (95 %) on the strength of effects that are not named, and effects that a design cannot show.
 
-The limit of an effect of the mean image, or of a law, is the strength that is just excluded (`strength_trials`).
+The limit of an effect of the mean image, or of a law across frames, is the weakest strength that is excluded
+(`strength_trials`). A trial is a strength on one side of where the effect vanishes. Its estimate is the size s ± e of
+the change that this strength makes, as a fraction, by a score test; the strength is excluded if s + k e < 1 with the
+normal quantile k. Directions are the starts of an effect that differ in its direction parameter alone. A clip vanishes
+at infinity: its limit is a lower one.
+
 Errors are inflated by √(Q/(n − 1)) if Cochran's Q over n cells of the data exceeds n − 1 (the scale factor of the
-Particle Data Group, Review of Particle Physics, introduction). Scatter is limited by the interval of its standard
-deviation.
+Particle Data Group, Review of Particle Physics, introduction). Random effects are limited by the interval of their
+standard deviation. Scales are sizes of the dataset, from which effects derive bounds and starting values.
 """
 
 from collections.abc import Collection, Sequence
@@ -35,21 +40,24 @@ from spotcheck.discrepancy.strength_trials import (
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import Effect, EffectScales, Need, RandomStep, Scope
 
-# Most tries of a strength on thinned pixels or laws; those after which the start that reaches farthest is chosen; and
-# most tries on all pixels.
-TRIES, FIRST_TRIES, FULL_TRIES = 12, 1, 3
-# Distances beyond the limit of a clip, in terms of its own, at which it is looked for by the score test; z from which
-# on it is looked for by fits, at more distances.
+# Most distances that are tried: before the farthest start of each variant is chosen, then on thinned pixels or laws,
+# and on all pixels.
+FIRST_TRIES, TRIES, FULL_TRIES = 1, 12, 3
+# A clip that may be present: distances beyond its limit, in units of the limit, at which a score test looks for it; and
+# the z from which on fits look for it at more distances. The distance of a clip is 1/level.
 SCANNED_FACTORS, SCANNED_Z = (1.01, 1.03, 1.08), 1.5
 FITTED_FACTORS = (1.0, 1.01, 1.02, 1.03, 1.05, 1.08, 1.15)
-# Decrement of these fits, most iterations, and number of bisections.
+# Newton decrement of these fits, most iterations, and number of bisections between two distances.
 PROFILE_TOLERANCE, PROFILE_ITERATIONS, PROFILE_BISECTIONS = 0.1, 6, 4
-# Part of the information of a law that must be left beside the others: numbers beside a free light shape are known far
-# better in some directions than in others.
+# Part of the information on a law that must be left beside the other laws. It may be small, since spots beside a free
+# light shape are known far better in some directions than in others.
 SEPARABLE_SHARE_OF_LAWS = 1e-10
-# Thinned pixels beside the declared light shape.
+# Thinned pixels without a free light shape; with one the default number is used.
 THINNED_PIXELS = 50_000
+# Angles of the fibres [rad] are rounded to this number of decimals before distinct ones are counted.
+ANGLE_DECIMALS = 6
 
+# Reasons why an effect is not named.
 NOT_FOUND = "not found"
 NOT_CONFIRMED = "not found in held-out frames"
 TOO_SMALL = "too small to matter"
@@ -59,6 +67,7 @@ NO_SIZE = "stands in place of a part of the model and has no size that could be 
 NO_FORMULA = "a free light shape is not needed; what is left of the mean image limits it"
 NOT_MEASURED = "the frames do not measure it"
 
+# Remarks why more frames would not lower a limit.
 ALREADY_PRESENT = "more frames would not: a part of it may be there"
 SET_BY_MISFIT = "more frames would not: misfit of the model sets the limit, not noise"
 SET_BY_LIGHT = "more frames would not: a brighter spot would"
@@ -78,47 +87,46 @@ def find_limits(
 ) -> tuple[UpperLimit, ...]:
     """Return the limits of all effects that are not named and that the design can show.
 
+    An effect without a limit has NaN ends and a reason.
+
     Parameters
     ----------
     fit : JointFit
         Final fit of the mean image to all pixels.
     named : collection of str
-        Names of the effects that are reported.
+        Names of the effects that the verdict names.
     effects : sequence of Effect
-        Effects that were looked for.
+        Effects that were searched for.
     scales : EffectScales
         Scales of the dataset.
     baseline : Baseline
         Declared model of the light.
     laws : LawSearch, optional
-        Search for laws of brightness and width beside the final fit; None without a law of the exposure.
+        Search for laws of brightness and width on the spots of the final fit; None without a law of the exposure.
     scatter : sequence of NamedScatter
-        Effects that scatter, named or not.
+        Random effects, named or not.
     withdrawn : collection of str
-        Names of effects that held-out frames refute.
+        Names of effects that the search found and held-out frames refuted.
     """
     impossible = {name for name, _ in list_not_assessed(effects, fit.model.design, baseline)}
     done = {*named, *impossible, *fit.model.effect_names}
     rest = [effect for effect in effects if effect.name not in done]
-    of_images = limit_mean_effects(fit, [effect for effect in rest if is_limited_by_pixels(effect, fit.model)], scales)
-    of_laws = {}
+    mean_effects = [effect for effect in rest if is_limited_by_pixels(effect, fit.model)]
+    limits = limit_mean_effects(fit, mean_effects, scales)
     if laws is not None:
         present = [effect for effect in effects if effect.name in named and is_law(effect)]
-        of_laws = limit_laws(laws, present, [effect for effect in rest if is_law(effect)])
-    deviations = {
-        named_scatter.applied.effect.name: limit_scatter(named_scatter, len(fit.model.spots.x), scales)
-        for named_scatter in scatter
-    }
-    known = of_images | of_laws | deviations
-    limits = [known.get(effect.name) or explain_missing(effect, fit.model) for effect in rest]
-    return tuple(replace(limit, reason=NOT_CONFIRMED) if limit.effect in withdrawn else limit for limit in limits)
+        limits |= limit_laws(laws, present, [effect for effect in rest if is_law(effect)])
+    for named_scatter in scatter:
+        limits[named_scatter.applied.effect.name] = limit_scatter(named_scatter, len(fit.model.spots.x), scales)
+    of_rest = [limits.get(effect.name) or explain_missing(effect, fit.model) for effect in rest]
+    return tuple(replace(limit, reason=NOT_CONFIRMED) if limit.effect in withdrawn else limit for limit in of_rest)
 
 
 def list_not_assessed(effects: Sequence[Effect], design: Design, baseline: Baseline) -> tuple[tuple[str, str], ...]:
-    """Return the effects that a design cannot show, each with what it would need, in words."""
+    """Return (name, sentence on what is needed) of each effect that a design cannot show."""
     exposures = len(np.unique(design.exposure_s)) if design.has_exposures else 0
-    # Half a turn of the fibres is no other angle. Two angles fit any amplitude and phase.
-    angles = len(np.unique(np.round(np.mod(design.angle, np.pi), 6)))
+    # Effects of the angle have a period of half a turn. Two angles would fit any amplitude and phase of them.
+    angles = len(np.unique(np.round(np.mod(design.angle, np.pi), ANGLE_DECIMALS)))
     frames = len(design.site)
     is_met = {
         Need.EXPOSURES: exposures > 1,
@@ -134,7 +142,7 @@ def list_not_assessed(effects: Sequence[Effect], design: Design, baseline: Basel
 
 
 def explain_missing(effect: Effect, model: JointModel) -> UpperLimit:
-    """Return a limit without ends that says why there is none."""
+    """Return a limit with NaN ends and the reason why the effect has none."""
     if effect.is_static_shape and model.grid is not None:
         reason = CONFOUNDED
     elif not any(effect.variants.values()):
@@ -148,49 +156,62 @@ def explain_missing(effect: Effect, model: JointModel) -> UpperLimit:
 
 
 def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -> UpperLimit:
-    """Return the limit of one effect from the trials on its sides."""
+    """Return the limit of one effect.
+
+    Parameters
+    ----------
+    sides : sequence of Trial
+        Final trial on each side of where the effect vanishes: one or two.
+    frames : int
+        Number of frames, from which that of further ones follows.
+    scales : EffectScales
+        Scales of the dataset.
+    """
     start = sides[0].start
     effect, strength = start.effect, start.effect.parameters[0]
-    ends = {trial.sign: trial.limit for trial in sides}
+    limit_of_side = {trial.sign: trial.limit for trial in sides}
     is_clip = np.isinf(effect.vanishes_at)
-    low, high = (ends[1], np.nan) if is_clip else (ends.get(-1, np.nan), ends[1])
+    low, high = (limit_of_side[1], np.nan) if is_clip else (limit_of_side.get(-1, np.nan), limit_of_side[1])
+    ends = list(limit_of_side.values())
     z = max(trial.estimate.z for trial in sides)
-    powers = [trial.power for trial in sides if np.isfinite(trial.power) and not trial.is_linear]
     remark, reason = SET_BY_LIGHT if is_clip else "", NOT_FOUND
     if z > PRESENT_Z:
         remark = ALREADY_PRESENT
     if max(trial.estimate.inflation for trial in sides) > MISFIT_INFLATION:
-        # Misfit may look like the effect, which then need not be there.
+        # Misfit may look like the effect, so that the range must include its absence.
         zero = effect.vanishes_at
         low, high, remark = float(np.minimum(low, zero)), float(np.maximum(high, zero)), SET_BY_MISFIT
-    if np.isnan(list(ends.values())).any():
+    if np.isnan(ends).any():
         remark = BEYOND_RANGE
-    elif z > MIN_Z and all(is_negligible(start.with_value(strength.name, end), scales) for end in ends.values()):
+    elif z > MIN_Z and all(is_negligible(start.with_value(strength.name, end), scales) for end in ends):
         reason = TOO_SMALL
-    more = None if remark else int(np.ceil((4 ** max(powers, default=1.0) - 1) * frames))
-    return UpperLimit(effect.name, strength.name, strength.unit, reason, low, high, more, remark)
+    # The change grows as distance**power, and its error falls as 1/√frames: half the distance takes 4**power as many.
+    powers = [trial.power for trial in sides if np.isfinite(trial.power) and not trial.is_linear]
+    more_frames = None if remark else int(np.ceil((4 ** max(powers, default=1.0) - 1) * frames))
+    return UpperLimit(effect.name, strength.name, strength.unit, reason, low, high, more_frames, remark)
 
 
 # Effects of the mean image
 
 
 def is_limited_by_pixels(effect: Effect, model: JointModel) -> bool:
-    """Return whether an effect has a limit from the mean image."""
+    """Return whether the mean image limits an effect; a free shape would replace a static one, so that it cannot."""
     return changes_mean_image(effect) and not (effect.is_static_shape and model.grid is not None)
 
 
 def limit_mean_effects(fit: JointFit, effects: Sequence[Effect], scales: EffectScales) -> dict[str, UpperLimit]:
-    """Return the limits of effects of the mean image that are not in the model.
+    """Return the limits of effects of the mean image that are not in the model, by name.
 
-    Thinned pixels give the strength that would be excluded if the frames asked for nothing, and the variant and start
-    that reach farthest. The score of that one is then taken on all pixels.
+    Thinned pixels give the strength that frames without the effect (s = 0) would exclude, for each variant and start.
+    The start with the weakest limit is chosen on each side. Its score is then taken on all pixels.
     """
     # A free shape needs more pixels.
     thin = thin_pixels(fit.pixels, THINNED_PIXELS) if fit.model.grid is None else thin_pixels(fit.pixels)
     thinned = replace(fit, pixels=thin, equations=assemble(fit.model, thin))
     share = thin.count / max(fit.pixels.count, 1)
 
-    def foretell(trials: Sequence[Trial]) -> list[Estimate]:
+    def predict(trials: Sequence[Trial]) -> list[Estimate]:
+        """Return the estimates to expect without the effect, with the errors of all pixels."""
         projection = project_trials(thinned, [trial.applied()[0] for trial in trials])
         errors = np.sqrt(share / np.maximum(projection.information, 1e-300))
         errors[(projection.information <= SEPARABLE_SHARE * projection.alone) | (errors > LARGEST_ERROR)] = np.inf
@@ -198,21 +219,23 @@ def limit_mean_effects(fit: JointFit, effects: Sequence[Effect], scales: EffectS
                 for trial, error in zip(trials, errors, strict=True)]  # fmt: skip
 
     def measure(trials: Sequence[Trial]) -> list[Estimate]:
-        applied = [trial.applied() for trial in trials]
-        every = [effect for directions in applied for effect in directions]
-        score, information = sum_trials(fit, every, project_trials(thinned, every))
-        first = np.cumsum([0, *(len(directions) for directions in applied)])
+        """Return the estimates by the score on all pixels; nuisance parameters are projected off by thinned ones."""
+        directions = [trial.applied() for trial in trials]
+        applied = list(chain(*directions))
+        score, information = sum_trials(fit, applied, project_trials(thinned, applied))
+        first = np.cumsum([0, *map(len, directions)])
         return [estimate_size(trial, fit.model.design, score[a:b], information[a:b])
                 for trial, a, b in zip(trials, first, first[1:], strict=False)]  # fmt: skip
 
-    trials = solve_trials(list_trials(effects, scales), foretell, FIRST_TRIES)
-    trials = solve_trials(list(chain(*choose_farthest(trials, of_variants=True).values())), foretell, TRIES)
+    trials = solve_trials(list_trials(effects, scales), predict, FIRST_TRIES)
+    trials = solve_trials(list(chain(*choose_farthest(trials, of_variants=True).values())), predict, TRIES)
     farthest = chain(*choose_farthest(trials).values())
     trials = solve_trials([trial.restart() for trial in farthest if trial.is_limited], measure, FULL_TRIES)
     limits = {}
     for name, sides in choose_farthest(trials).items():
         limits[name] = summarize_sides(sides, len(fit.model.spots.x), scales)
         if np.isinf(sides[0].start.effect.vanishes_at) and np.isfinite(limits[name].low):
+            # A clip at a lower level may be present all the same, since the change is not linear in the level.
             trial, low = sides[0], limits[name].low
             scanned = measure([replace(trial, distance=factor / low) for factor in SCANNED_FACTORS])
             if max(estimate.z for estimate in scanned) > SCANNED_Z:
@@ -221,49 +244,53 @@ def limit_mean_effects(fit: JointFit, effects: Sequence[Effect], scales: EffectS
 
 
 def profile_clip(fit: JointFit, trial: Trial, highest: float) -> float:
-    """Return the lower limit of the level of a clip that may be there, from fits at several levels.
+    """Return the lower limit [DN] on the level of a clip that may be present, from fits at several levels.
 
-    The score test would be too high: the spots of a fit without the clip have taken a share of it. The limit is the
-    lowest level at which −2 ln L beside the spots is less than k² above its minimum.
+    The limit is the lowest level at which −2 ln L, minimised over the spots, is less than k² above its minimum. The
+    score test would put it too high, since the spots of a fit without the clip have absorbed a part of it. NaN if all
+    levels that are tried are allowed.
 
     Parameters
     ----------
     fit : JointFit
         Fit without the clip.
     trial : Trial
-        Any level of the clip.
+        The clip, at any level.
     highest : float
-        Limit by the score test.
+        Limit by the score test [DN]. It is returned if no spot is brighter than the lowest level that is tried.
     """
     distances = [factor / highest for factor in FITTED_FACTORS]
-    reached = np.flatnonzero(np.exp(fit.model.spots.log_peak) > 1 / distances[-1])
-    if len(reached) == 0:
+    clipped = np.flatnonzero(np.exp(fit.model.spots.log_peak) > 1 / distances[-1])
+    if len(clipped) == 0:
         return highest
-    design = fit.model.design.select(reached)
-    arrays = {name: getattr(fit.pixels, name)[reached] for name in ("x", "y", "readings", "is_used", "row_share")}
+    design = fit.model.design.select(clipped)
+    arrays = {name: getattr(fit.pixels, name)[clipped] for name in ("x", "y", "readings", "is_used", "row_share")}
     pixels = replace(fit.pixels, **arrays)
-    plain = replace(fit.model, spots=fit.model.spots.select(reached), design=design, free=(), grid=None)
+    plain = replace(fit.model, spots=fit.model.spots.select(clipped), design=design, free=(), grid=None)
 
     def deviance_at(distance: float) -> float:
+        """Return −2 ln L with the clip at the level 1/distance."""
         (applied, *_) = replace(trial, distance=distance).applied()
         model = replace(plain, forward=replace(plain.forward, effects=(*plain.forward.effects, applied)))
         return fit_jointly(model, pixels, tolerance=PROFILE_TOLERANCE, iterations=PROFILE_ITERATIONS).deviance
 
     deviances = {distance: deviance_at(distance) for distance in distances}
     minimum = min(fit_jointly(plain, pixels, iterations=PROFILE_ITERATIONS).deviance, *deviances.values())
-    most = minimum + float(stats.norm.ppf(trial.quantile_level)) ** 2
-    allowed = max((distance for distance, deviance in deviances.items() if deviance < most), default=distances[0])
+    bound = minimum + float(stats.norm.ppf(trial.quantile_level)) ** 2
+    allowed = max((distance for distance, deviance in deviances.items() if deviance < bound), default=distances[0])
     excluded = min((distance for distance in distances if distance > allowed), default=np.inf)
     for _ in range(PROFILE_BISECTIONS if np.isfinite(excluded) else 0):
         middle = float(np.sqrt(allowed * excluded))
-        allowed, excluded = (middle, excluded) if deviance_at(middle) < most else (allowed, middle)
+        allowed, excluded = (middle, excluded) if deviance_at(middle) < bound else (allowed, middle)
     return 1 / excluded if np.isfinite(excluded) else np.nan
 
 
 def estimate_size(trial: Trial, design: Design, score: np.ndarray, information: np.ndarray) -> Estimate:
-    """Return the estimate of a trial from score and information [direction, frame, place] in all its directions.
+    """Return the estimate of a trial from sums over the pixels in each of its directions.
 
-    Errors are inflated by what places of a condition, or of a site, disagree beyond their noise.
+    `score` and `information` [direction, frame, place] are those of the change that the trial makes, beside all
+    nuisance parameters; a place is a sector of a ring of the spot. Errors are inflated by the heterogeneity of places
+    between conditions, or between sites if that is larger.
     """
     quantile = float(stats.norm.ppf(trial.quantile_level))
     total = information.sum(axis=(1, 2))
@@ -276,49 +303,54 @@ def estimate_size(trial: Trial, design: Design, score: np.ndarray, information: 
 
 
 def inflation_of(score: np.ndarray, information: np.ndarray, labels: np.ndarray) -> float:
-    """Return √(Q/(n − 1)), at least 1, over n cells of a label and a place, from sums [frame, place]."""
-    index = np.unique(labels, return_inverse=True)[1].ravel()
-    shape = (index.max() + 1, score.shape[1])
+    """Return the inflation √(Q/(n − 1)) of an error, at least 1, with Cochran's Q over n cells.
+
+    A cell is a label [frame], such as a site, and a place. `score` and `information` are [frame, place]. Cells with
+    little information are left out.
+    """
+    number = np.unique(labels, return_inverse=True)[1].ravel()
+    shape = (number.max() + 1, score.shape[1])
     u, i = np.zeros(shape), np.zeros(shape)
-    np.add.at(u, index, score)
-    np.add.at(i, index, information)
+    np.add.at(u, number, score)
+    np.add.at(i, number, information)
     used = i > LEAST_CELL_SHARE * i.sum()
-    count = int(used.sum())
     q = float(np.sum(u[used] ** 2 / i[used]) - u[used].sum() ** 2 / i[used].sum())
-    return float(np.sqrt(max(q / max(count - 1, 1), 1.0)))
+    return float(np.sqrt(max(q / max(int(used.sum()) - 1, 1), 1.0)))
 
 
-# Laws, fitted effects and scatter
+# Laws and random effects
 
 
 def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect]) -> dict[str, UpperLimit]:
-    """Return the limits of laws beside the named ones; the largest of all variants and starts counts."""
+    """Return the limits of laws beside the named ones, by name; the weakest limit of all variants and starts counts.
+
+    A law that the frames cannot limit is left out.
+    """
     fit = search.fit(named)
     present = replace(search.forward, law=fit.law, effects=fit.effects)
     mean = search.mean_of(present)
+    # Whitened observations (covariance 1): `basis` spans the changes that the fitted parameters can make.
     basis = np.linalg.qr(search.whitening @ fit.jacobian)[0]
     residual = search.whitening @ fit.residual
-    freedom = max(len(residual) - basis.shape[1], 1)
-    inflation = float(np.sqrt(max(fit.chi2 / freedom, 1.0)))
+    inflation = float(np.sqrt(max(fit.chi2 / max(len(residual) - basis.shape[1], 1), 1.0)))
 
-    def measure(trials: Sequence[Trial]) -> list[Estimate]:
-        return [measure_trial(trial) for trial in trials]
-
-    def measure_trial(trial: Trial) -> Estimate:
+    def estimate(trial: Trial) -> Estimate:
+        """Return the size of the change that a trial makes to brightness and width."""
         models = [replace(present, effects=(*fit.effects, applied)) for applied in trial.applied()]
         whole = [search.whitening @ np.nan_to_num(search.mean_of(model) - mean) for model in models]
         changes = [change - basis @ (basis.T @ change) for change in whole]
         squares = [float(change @ change) for change in changes]
         if not squares[0] > SEPARABLE_SHARE_OF_LAWS * float(whole[0] @ whole[0]):
             return Estimate(0.0, np.inf, 1.0)
-        sizes = [change @ residual / max(square, 1e-300) for change, square in zip(changes, squares, strict=True)]
-        size = add_directions(sizes)
+        size = add_directions(
+            [change @ residual / max(square, 1e-300) for change, square in zip(changes, squares, strict=True)]
+        )
         freedom = search.degrees_of_freedom(search.whitening.T @ changes[0] / squares[0], 1 / squares[0])
         quantile = float(stats.t.ppf(trial.quantile_level, freedom))
         size = max(size, 0.0) if trial.is_one_sided else size
         return Estimate(size, inflation / float(np.sqrt(squares[0])), quantile, inflation)
 
-    trials = solve_trials(list_trials(laws, search.scales), measure, TRIES)
+    trials = solve_trials(list_trials(laws, search.scales), lambda trials: list(map(estimate, trials)), TRIES)
     return {
         name: summarize_sides(sides, search.frames, search.scales)
         for name, sides in choose_farthest(trials).items()
@@ -327,19 +359,23 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
 
 
 def limit_scatter(named: NamedScatter, frames: int, scales: EffectScales) -> UpperLimit:
-    """Return the limit of an effect that scatters, from the interval of its standard deviation."""
+    """Return the limit of a random effect: the upper end of the 95 % interval of its standard deviation.
+
+    It has NaN ends if the interval is unknown or exceeds the range of the parameter. `frames` is the number of frames.
+    """
     effect = named.applied.effect
     strength = effect.parameters[0]
     interval = named.intervals[strength.name]
     if not (np.isfinite(interval.stderr) and interval.stderr > 0 and interval.high < effect.bounds(scales)[0, 1]):
         return UpperLimit(effect.name, strength.name, strength.unit, NOT_MEASURED)
     is_small = named.z > MIN_Z and is_negligible(named.applied.with_value(strength.name, interval.high), scales)
-    # The error of a variance falls with the root of the number of frames, or of pairs of frames that share a field.
     steps = [step for step in effect.variants[named.applied.variant] if isinstance(step, RandomStep)]
     is_shared = any(step.scope is Scope.SENSOR for step in steps)
     remark = ALREADY_PRESENT if named.z > PRESENT_Z else ""
     if np.isnan(effect.vanishes_at):
         remark = remark or NOT_FROM_ZERO
-    more = None if remark else ((4 if is_shared else 16) - 1) * frames
+    # Half the standard deviation is a quarter of the variance. The error of a variance falls as 1/√frames, or as
+    # 1/frames for a field of the sensor, which pairs of frames share.
+    more_frames = None if remark else ((4 if is_shared else 16) - 1) * frames
     reason = TOO_SMALL if is_small else NOT_FOUND
-    return UpperLimit(effect.name, strength.name, strength.unit, reason, np.nan, interval.high, more, remark)
+    return UpperLimit(effect.name, strength.name, strength.unit, reason, np.nan, interval.high, more_frames, remark)

@@ -1,8 +1,9 @@
-"""The paper's metrics of held-out frames, beside those of frames simulated by the declared and the extended model.
+"""The paper's metrics of held-out frames, compared with frames simulated by the declared and the extended model.
 
-Simulated frames have the conditions and masked pixels of the measured ones, the predicted spots, and noise. The
-extended model's also have all its random effects. Both models use the same random numbers, so that a metric differs
-between them by what the effects do.
+A chain of nested models leads from the declared model, without effects, to the extended one with all of them. It
+predicts the spot (peak, width and centre) of each held-out frame. Simulated frames have the conditions and masked
+pixels of the measured ones, the predicted spots, and noise. Those of the extended model also have all its random
+effects. Both models use the same random numbers, so that only the effects make their metrics differ.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +29,7 @@ from spotcheck.model.forward import ForwardModel, RandomStreams
 from spotcheck.model.stage import Stage
 
 PSNR = "PSNR"
-# Metrics of single crops: name, unit, function.
+# Metrics of single crops: name, unit, function of the crop [row, column] in DN.
 OF_IMAGES: tuple[tuple[str, str, Callable[[np.ndarray], float]], ...] = (
     ("speckle contrast", "1", crop_metrics.speckle_contrast),
     ("maximum", "DN", crop_metrics.largest_reading),
@@ -36,72 +37,74 @@ OF_IMAGES: tuple[tuple[str, str, Callable[[np.ndarray], float]], ...] = (
 )
 # Metrics of the spot fit: name, unit, attribute of `SpotFits`.
 OF_FITS = (("amplitude", "DN", "amplitude"), ("width", "px", "sigma_mean"))
-# Key of the random numbers of the gains of pixels.
+# First part of the seed of pixel gains, which keeps them independent of other random numbers.
 GAINS_KEY = 1
 
 
 @dataclass(frozen=True)
 class FrameSimulator:
-    """A model of a chain that draws frames at predicted spots."""
+    """A model of a chain that draws frames at predicted spots; frames are addressed by their index."""
 
-    forward: ForwardModel  # without a law of the exposure, with random effects
-    gains: PixelGains | None  # gains of pixels; None if all are alike
-    spots: FrameParameters  # spot of each frame
+    forward: ForwardModel  # model without a law of the exposure, with random effects
+    gains: PixelGains | None  # gains of pixels and their errors; None if all pixels have the same gain
+    spots: FrameParameters  # predicted spot of each frame
     frames: FrameSet  # measured frames, whose conditions and masked pixels the drawn ones share
 
-    def conditions(self, number: int) -> FrameConditions:
-        """Return the conditions of a frame."""
+    def conditions(self, frame: int) -> FrameConditions:
+        """Return the conditions of a frame for the forward model, with the pixels of its crop."""
         frames, design, spots = self.frames, self.frames.design, self.spots
-        rows, columns = (range(corner[number], corner[number] + size) for corner, size in
+        rows, columns = (range(corner[frame], corner[frame] + size) for corner, size in
                          zip((frames.top, frames.left), frames.readings.shape[1:], strict=True))  # fmt: skip
         return FrameConditions(
             pixels=crop_grid(columns, rows, frames.sensor_columns, frames.sensor_rows),
-            x0=float(spots.x[number]),
-            y0=float(spots.y[number]),
-            exposure_s=float(design.exposure_s[number]),
+            x0=float(spots.x[frame]),
+            y0=float(spots.y[frame]),
+            exposure_s=float(design.exposure_s[frame]),
             longest_s=design.longest_s,
             reference_s=design.reference_s,
-            angle=float(design.angle[number]),
-            order=float(design.order[number]),
-            peak_dn=float(np.exp(spots.log_peak[number])),
-            sigma_px=float(np.exp(spots.log_sigma[number])),
+            angle=float(design.angle[frame]),
+            order=float(design.order[frame]),
+            peak_dn=float(np.exp(spots.log_peak[frame])),
+            sigma_px=float(np.exp(spots.log_sigma[frame])),
         )
 
     def draw(self, seed: int) -> np.ndarray:
         """Return one random frame for each measured one [frame, row, column] in DN; NaN at masked pixels."""
         frames, gains = self.frames, self.gains
         if gains is not None:
+            # The gains are estimates: their errors are drawn.
             rng = np.random.default_rng([GAINS_KEY, seed])
             deviation = np.sqrt(gains.variance) * rng.standard_normal(gains.mean.shape)
             gains = replace(gains, mean=gains.mean + deviation)
         readings = np.empty(frames.readings.shape)
-        # Frames of a site follow each other: what is drawn for a site is kept for the next frame.
-        for number in np.argsort(frames.design.site, kind="stable"):
-            forward = replace(self.forward, effects=(*self.forward.effects, *self._gains_under(number, gains)))
-            streams = RandomStreams(seed, int(number), int(frames.design.site[number]))
-            readings[number] = forward.sample(self.conditions(number), streams)
+        # Frames of a site come one after the other, since the forward model keeps what it has drawn for a site.
+        for frame in np.argsort(frames.design.site, kind="stable"):
+            forward = replace(self.forward, effects=(*self.forward.effects, *self._gains_under(frame, gains)))
+            streams = RandomStreams(seed, int(frame), int(frames.design.site[frame]))
+            readings[frame] = forward.sample(self.conditions(frame), streams)
         return np.where(np.isfinite(frames.readings), readings, np.nan)
 
     def mean_readings(self) -> np.ndarray:
         """Return the mean image of each frame [frame, row, column] in DN, without random effects."""
         images, effects = [], tuple(filter(acts_on_mean, self.forward.effects))
-        for number in range(len(self.frames)):
-            forward = replace(self.forward, effects=(*effects, *self._gains_under(number, self.gains)))
-            images.append(forward.expected(self.conditions(number)).mean)
+        for frame in range(len(self.frames)):
+            forward = replace(self.forward, effects=(*effects, *self._gains_under(frame, self.gains)))
+            images.append(forward.expected(self.conditions(frame)).mean)
         return np.stack(images)
 
-    def _gains_under(self, number: int, gains: PixelGains | None) -> tuple[AppliedEffect, ...]:
-        """Return the gains of pixels under a frame as an effect; nothing without gains."""
+    def _gains_under(self, frame: int, gains: PixelGains | None) -> tuple[AppliedEffect, ...]:
+        """Return the gains of the pixels under a frame's crop as an effect, in a tuple of one; empty without gains."""
         if gains is None:
             return ()
-        top, left = int(self.frames.top[number]), int(self.frames.left[number])
+        top, left = int(self.frames.top[frame]), int(self.frames.left[frame])
         return (_apply_gains(gains.under_crop(top, left, self.frames.readings.shape[1:])[0]),)
 
 
 def _apply_gains(gains: np.ndarray) -> AppliedEffect:
-    """Return an effect that multiplies the light of each pixel by 1 + gains [row, column]."""
+    """Return an effect without parameters that multiplies the light of each pixel by 1 + gains [row, column]."""
 
     def multiply_light(frame: FrameConditions, light_dn: np.ndarray) -> np.ndarray:
+        """Return the light [DN] times the gains, which are not negative; the frame has no influence."""
         return light_dn * np.maximum(1 + gains, 0.0)
 
     steps = (Step(Stage.PIXEL_GAIN, multiply_light),)
@@ -112,7 +115,7 @@ def _apply_gains(gains: np.ndarray) -> AppliedEffect:
 def compare_metrics(
     validated: ValidatedChain, unseen: FrameSet, scatter: Sequence[NamedScatter], seed: int = 0
 ) -> tuple[MetricChange, ...]:
-    """Return the paper's metrics of measured frames and of frames simulated by the first and last model of a chain.
+    """Compare the paper's metrics of measured frames with those of frames simulated by both ends of a chain.
 
     Parameters
     ----------
@@ -121,7 +124,7 @@ def compare_metrics(
     unseen : FrameSet
         The held-out frames.
     scatter : sequence of NamedScatter
-        Effects that scatter; those that the chain holds are drawn.
+        Random effects. Those that a model of the chain has added are drawn in frames of the extended model.
     seed : int
         Seed of the simulated frames.
 
@@ -129,24 +132,25 @@ def compare_metrics(
     -------
     tuple of MetricChange
         PSNR, speckle contrast, maximum, sum, amplitude and width. Each is the mean over conditions of its means over
-        the frames of a condition. A metric that no frame has is left out.
+        the frames of a condition. A metric that no frame has is left out; all are if no frame has a predicted spot.
 
     Notes
     -----
-    The measured PSNR is that between repeats of a condition at the same angle. The difference between both repeats that
-    the extended model predicts, such as a shift of the spot, is taken off. A simulated frame of a true model then comes
-    as near to the measured one as a repeat does. All are relative to the sensor's largest reading.
+    The PSNR of a simulated frame is that to the measured one. The measured PSNR is that between repeats of a condition
+    at the same angle. From these the difference that the extended model predicts, such as a shift of the spot, is
+    subtracted. A frame simulated by a true model is then as close to the measured one as a repeat is. The peak of all
+    PSNR is the sensor's largest reading.
     """
     chain, predictions = validated.chain, validated.predictions
     rows = np.array([predictions[end].spots.as_rows() for end in (0, -1)])
-    kept = np.flatnonzero(np.isfinite(rows).all(axis=(0, 1)))
-    if len(kept) == 0:
+    predicted = np.flatnonzero(np.isfinite(rows).all(axis=(0, 1)))
+    if len(predicted) == 0:
         return ()
-    frames = unseen.select(kept)
+    frames = unseen.select(predicted)
     added = {nested.added for nested in chain}
-    drawn = [named.applied for named in scatter if named.applied.effect.name in added and not named.reasons]
-    declared = _simulator_of(chain[0], [], predictions[0].spots.select(kept), frames)
-    extended = _simulator_of(chain[-1], drawn, predictions[-1].spots.select(kept), frames)
+    random_effects = [named.applied for named in scatter if named.applied.effect.name in added and not named.reasons]
+    declared = _build_simulator(chain[0], [], predictions[0].spots.select(predicted), frames)
+    extended = _build_simulator(chain[-1], random_effects, predictions[-1].spots.select(predicted), frames)
     tables = _measure_sources(frames, declared, extended, seed)
     units = {PSNR: "dB"} | {name: unit for name, unit, _ in (*OF_IMAGES, *OF_FITS)}
     changes = []
@@ -159,14 +163,17 @@ def compare_metrics(
     return tuple(changes)
 
 
-def _simulator_of(
-    nested: NestedModel, scatter: Sequence[AppliedEffect], spots: FrameParameters, frames: FrameSet
+def _build_simulator(
+    nested: NestedModel, random_effects: Sequence[AppliedEffect], spots: FrameParameters, frames: FrameSet
 ) -> FrameSimulator:
-    """Return the simulator of a model, with effects that scatter, at the spots that it predicts."""
+    """Return the simulator of a model of the chain with random effects, at the spots that it predicts for frames."""
+    # The predicted spots contain the laws across frames.
     effects = [applied for applied in nested.forward.effects if not is_law(applied.effect)]
     names = {applied.effect.name for applied in effects}
-    # Gains of pixels are known from other frames: they are not drawn anew.
-    effects += [applied for applied in scatter if applied.effect.name not in names and not _is_random_gain(applied)]
+    # Gains of pixels were estimated from other frames: only the error of that estimate is drawn, not new gains.
+    effects += [
+        applied for applied in random_effects if applied.effect.name not in names and not _is_random_gain(applied)
+    ]
     forward = replace(nested.forward, law=None, effects=tuple(effects))
     return FrameSimulator(forward, nested.scatter.gains, spots, frames)
 
@@ -174,7 +181,7 @@ def _simulator_of(
 def _measure_sources(
     frames: FrameSet, declared: FrameSimulator, extended: FrameSimulator, seed: int
 ) -> list[dict[str, np.ndarray]]:
-    """Return all metrics [frame] by name of measured frames, of the declared and of the extended model's."""
+    """Return the metrics [frame] by name of three sources: measured frames, declared model and extended model."""
     images = [frames.readings.astype(float), declared.draw(seed), extended.draw(seed)]
     with ThreadPoolExecutor(THREADS) as pool:
         tables = list(pool.map(partial(_measure_images, forward=declared.forward), images))
@@ -187,13 +194,16 @@ def _measure_sources(
 
 
 def _is_random_gain(applied: AppliedEffect) -> bool:
-    """Return whether an effect draws gains of pixels."""
+    """Return whether an effect draws the gains of pixels at random."""
     steps = applied.effect.variants[applied.variant]
     return any(isinstance(step, RandomStep) and step.stage is Stage.PIXEL_GAIN for step in steps)
 
 
 def _measure_images(images: np.ndarray, forward: ForwardModel) -> dict[str, np.ndarray]:
-    """Return the metrics [frame] of images [frame, row, column] by name; NaN where the fit has failed."""
+    """Return the metrics [frame] of images [frame, row, column] in DN by name, without PSNR; NaN if the fit fails.
+
+    `forward` gives the sensor and the shape that are fitted.
+    """
     table = {name: np.array([function(image) for image in images]) for name, _, function in OF_IMAGES}
     baseline = forward.baseline
     fits = fit_spots(images, forward.sensor, top_hat=baseline.top_hat, integrated=baseline.pixel_integration)
@@ -201,9 +211,9 @@ def _measure_images(images: np.ndarray, forward: ForwardModel) -> dict[str, np.n
 
 
 def _psnr_of_repeats(frames: FrameSet, means: np.ndarray, full_scale_dn: float) -> np.ndarray:
-    """Return the mean PSNR [frame, dB] of each frame to other repeats of its condition at its angle; NaN without any.
+    """Return the mean PSNR of each frame to other repeats of its condition at its angle [frame] in dB.
 
-    The other repeat is corrected by the difference of their mean images `means` [frame, row, column] in DN.
+    The difference of their mean images `means` [frame, row, column] in DN is subtracted. NaN without other repeats.
     """
     design, readings = frames.design, frames.readings
     keys = np.stack([design.condition, design.angle], axis=1)
@@ -213,13 +223,16 @@ def _psnr_of_repeats(frames: FrameSet, means: np.ndarray, full_scale_dn: float) 
             if second > first:
                 corrected = readings[second] - means[second] + means[first]
                 ratio = crop_metrics.psnr(readings[first], corrected, full_scale_dn)
-                for number in (first, int(second)):
-                    total[number] += ratio
-                    count[number] += 1
+                pair = [first, int(second)]
+                total[pair] += ratio
+                count[pair] += 1
     return np.divide(total, count, out=np.full(len(frames), np.nan), where=count > 0)
 
 
 def _mean_over_conditions(values: np.ndarray, condition: np.ndarray) -> np.ndarray:
-    """Return the means over conditions of the means over their frames, of values [source, frame]."""
+    """Return the mean over conditions of the means over their frames [source], of values [source, frame].
+
+    `condition` is the number of the condition [frame].
+    """
     numbers = np.unique(condition)
     return np.mean([values[:, condition == number].mean(axis=1) for number in numbers], axis=0)

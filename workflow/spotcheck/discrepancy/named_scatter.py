@@ -1,8 +1,10 @@
-"""Effects that scatter: what dark pixels, fields and fluctuations are called by the effects of the vocabulary.
+"""Random effects: names from the vocabulary for the measured scatter of dark pixels, fields and spots.
 
-An effect stands for a scatter by the stage and the scope of its random step. The parameter of the step's quadrature is
-the standard deviation of what it draws; a further parameter of its draw is the standard deviation of the correlation
-[px]; a parameter that no step takes is the number of hot pixels.
+A random step of an effect draws a number or a field at a stage of the image chain, anew for each frame, for each site
+or once for the sensor (its scope). An effect explains a measured scatter if its random steps have the same stages and
+scopes. The first parameter of a step's quadrature is the standard deviation of its draw. A further parameter of the
+draw is the standard deviation [px] of the correlation of a field. A parameter that no step has is the number of hot
+pixels.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,43 +22,44 @@ from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomSt
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import SensorModel
 
-# Part of a variance of lines or pixels that neighbours may have more or less of it, and the standard errors beyond.
+# Noise is not white, or not common to a row, if the covariance that should be the same (or 0) is off by more than
+# MISFIT_SHARE of the variance plus MISFIT_SD standard errors.
 MISFIT_SHARE, MISFIT_SD = 0.15, 4.0
-# Hot pixels that make a pattern.
+# Least number of hot pixels that makes an effect of hot pixels named.
 FEWEST_HOT = 3
 
 
 @dataclass(frozen=True)
 class NamedScatter:
-    """An effect that scatters."""
+    """A random effect that explains a measured scatter, and whether it is named."""
 
-    applied: AppliedEffect  # with its values
-    intervals: dict[str, Interval]  # of its parameters
-    z: float  # of its variance, or the root of its gain in −2 ln L
-    reasons: tuple[str, ...]  # against naming it; empty: it is named
-    grain_px: float = np.nan  # standard deviation of the correlation of a field [px]; NaN if there is none
-    rivals: tuple[str, ...] = ()  # effects of the vocabulary that draw at the same stages for the same frames
+    applied: AppliedEffect  # the effect with its measured values
+    intervals: dict[str, Interval]  # 95 % intervals of its parameters by name, in their units
+    z: float  # variance in standard errors, or the root of the gain in −2 ln L
+    reasons: tuple[str, ...]  # reasons against naming it; empty if it is named
+    grain_px: float = np.nan  # standard deviation of the correlation of its field [px]; NaN without a field
+    rivals: tuple[str, ...] = ()  # names of effects that explain the same scatter
 
     @property
     def drawn_at(self) -> frozenset[tuple[Stage, Scope]]:
-        """Stage and scope of each random step."""
+        """Stage and scope of each random step of the effect."""
         steps = self.applied.effect.variants[self.applied.variant]
         return frozenset((step.stage, step.scope) for step in steps if isinstance(step, RandomStep))
 
     @staticmethod
     def parameter_of(step: RandomStep) -> str:
-        """Return the parameter that is the standard deviation of what a step draws."""
+        """Return the name of the parameter that is the standard deviation of what a step draws."""
         return keyword_names_of(step.quadrature)[0]
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """Standard deviation of what a random step draws."""
+    """Measured standard deviation of what a random step draws."""
 
-    interval: Interval
-    z: float
-    reasons: tuple[str, ...]  # against it
-    grain_px: float = np.nan  # standard deviation of its correlation [px]
+    interval: Interval  # standard deviation with its 95 % interval
+    z: float  # variance in standard errors, or the root of the gain in −2 ln L
+    reasons: tuple[str, ...]  # reasons against it; empty if it is accepted
+    grain_px: float = np.nan  # standard deviation of the correlation of a field [px]; NaN without a field
 
 
 def name_scatter(
@@ -65,27 +68,42 @@ def name_scatter(
     hot_pixels: int,
     scales: EffectScales,
 ) -> list[NamedScatter]:
-    """Return the effects that stand for the deviations of random steps, by stage and scope."""
+    """Return the effects all of whose steps are random and explain measured deviations, in the order of `effects`.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        Effects of the vocabulary. The first variant of each that fits is taken.
+    deviations : mapping
+        Measured deviations by stage and scope.
+    hot_pixels : int
+        Number of hot pixels.
+    scales : EffectScales
+        Sizes of the dataset, from which the sizes that are negligible follow.
+    """
     found = []
     for effect in effects:
         for variant, steps in effect.variants.items():
-            random = [step for step in steps if isinstance(step, RandomStep)]
-            is_measured = all((step.stage, step.scope) in deviations for step in random)
-            if random and len(random) == len(steps) and is_measured:
-                found.append(_name_steps(effect, variant, random, deviations, hot_pixels, scales))
+            random_steps = [step for step in steps if isinstance(step, RandomStep)]
+            is_measured = all((step.stage, step.scope) in deviations for step in random_steps)
+            if random_steps and len(random_steps) == len(steps) and is_measured:
+                found.append(_name_steps(effect, variant, random_steps, deviations, hot_pixels, scales))
                 break
     return _mark_rivals([named for named in found if named is not None])
 
 
-def _mark_rivals(found: Sequence[NamedScatter]) -> list[NamedScatter]:
-    """Return the effects with the first of several that explain the same scatter as the only one that is named."""
+def _mark_rivals(effects: Sequence[NamedScatter]) -> list[NamedScatter]:
+    """Return the effects; of several named ones that explain the same scatter, only the first stays named.
+
+    It gets the others as rivals, and these get a reason.
+    """
     marked = []
-    for k, named in enumerate(found):
-        alike = [j for j, other in enumerate(found) if not other.reasons and other.drawn_at == named.drawn_at]
-        names = [found[j].applied.effect.name for j in alike]
-        if k not in alike or len(alike) == 1:
+    for k, named in enumerate(effects):
+        same = [j for j, other in enumerate(effects) if not other.reasons and other.drawn_at == named.drawn_at]
+        names = [effects[j].applied.effect.name for j in same]
+        if k not in same or len(same) == 1:
             marked.append(named)
-        elif k == alike[0]:
+        elif k == same[0]:
             marked.append(replace(named, rivals=tuple(names[1:])))
         else:
             marked.append(replace(named, reasons=(f"same scatter as {names[0]}",)))
@@ -100,66 +118,92 @@ def _name_steps(
     hot_pixels: int,
     scales: EffectScales,
 ) -> NamedScatter | None:
-    """Return the effect of some random steps; None if a parameter has no value."""
+    """Return an effect with the measured values of its random steps; None if a parameter has no finite value.
+
+    Arguments are those of `name_scatter`. The step with the largest z decides on its reasons.
+    """
     intervals: dict[str, Interval] = {}
-    z = 0.0
-    for step in steps:
-        deviation = deviations[step.stage, step.scope]
+    measured = [deviations[step.stage, step.scope] for step in steps]
+    for step, deviation in zip(steps, measured, strict=True):
         name = NamedScatter.parameter_of(step)
         intervals[name] = deviation.interval
-        z = max(z, deviation.z)
         for extra in set(keyword_names_of(step.draw)) - {name}:
             intervals[extra] = Interval.around(deviation.grain_px, np.nan)
-    strongest = max((deviations[step.stage, step.scope] for step in steps), key=lambda deviation: deviation.z)
-    counts = [p.name for p in effect.parameters_of(variant) if p.name not in intervals]
+    strongest = max(measured, key=lambda deviation: deviation.z)
+    # In this order a z of NaN counts as 0.
+    z = max(0.0, *(deviation.z for deviation in measured))
     reasons = list(strongest.reasons) + (["z below the least"] if not z >= MIN_Z else [])
-    for name in counts:
-        intervals[name] = Interval.around(hot_pixels, np.sqrt(hot_pixels))
-    values = {name: interval.value for name, interval in intervals.items()}
-    if not np.isfinite(list(values.values())).all():
+    # A parameter that no step has is a number of hot pixels, with the error of a count.
+    counts = [p.name for p in effect.parameters_of(variant) if p.name not in intervals]
+    intervals |= {name: Interval.around(hot_pixels, np.sqrt(hot_pixels)) for name in counts}
+    if not np.isfinite([interval.value for interval in intervals.values()]).all():
         return None
-    applied = AppliedEffect(effect, variant, tuple(values.get(p.name, np.nan) for p in effect.parameters))
+    values = tuple(intervals[p.name].value if p.name in intervals else np.nan for p in effect.parameters)
+    applied = AppliedEffect(effect, variant, values)
     if is_negligible_scatter(applied, scales):
         reasons.append("negligible")
     if counts and hot_pixels >= FEWEST_HOT:
+        # Hot pixels were found one by one: their number alone is evidence.
         reasons = []
     return NamedScatter(applied, intervals, z, tuple(reasons), strongest.grain_px)
 
 
 def is_negligible_scatter(applied: AppliedEffect, scales: EffectScales) -> bool:
-    """Return whether a user would call all deviations of an effect nothing."""
-    limits = [p.negligible(scales) if callable(p.negligible) else p.negligible for p in applied.effect.parameters]
+    """Return whether all values of an effect are below the sizes that its parameters declare negligible.
+
+    Parameters without such a size do not count; False if there are no others.
+    """
+    limits = _negligible_sizes(applied.effect, scales)
     is_below = [value < limit for value, limit in zip(applied.values, limits, strict=True) if limit > 0]
     return bool(is_below) and all(is_below)
 
 
+def _negligible_sizes(effect: Effect, scales: EffectScales) -> list[float]:
+    """Return the size of each parameter below which a user would call it nothing, in its unit; 0 if there is none."""
+    return [p.negligible(scales) if callable(p.negligible) else p.negligible for p in effect.parameters]
+
+
 @dataclass(frozen=True)
 class WhiteNoise:
-    """Read noise that dark pixels give, without what rows and columns share."""
+    """Read noise that dark pixels show, without the part that is common to rows or columns."""
 
-    total_e: float  # [e- rms]
-    stderr_e: float  # [e-]
-    z: float  # of its excess over the stated read noise
-    is_shared: bool  # whether neighbours in a row share more of it than rows do, so that it is not white
+    total_e: float  # read noise [e- rms]
+    stderr_e: float  # its standard error [e-]
+    z: float  # excess of its variance over that of the stated read noise, in standard errors of both
+    is_shared: bool  # whether neighbours in a row share more noise than whole rows do, so that it is not white
 
 
 def white_noise(dark: DarkNoise, fitted: SensorModel, stated: SensorModel, stated_stderr: float) -> WhiteNoise:
-    """Return the read noise of dark pixels beside a fit; `stated_stderr` [e-] is that of the data sheet."""
+    """Return the read noise of dark pixels.
+
+    Parameters
+    ----------
+    dark : DarkNoise
+        Noise of dark pixels beyond that of the fitted sensor.
+    fitted, stated : SensorModel
+        Sensor of the fit, and that of the data sheet.
+    stated_stderr : float
+        Standard error of the stated read noise [e-].
+    """
     gain = stated.gain_dn_per_e
     white = (gain * fitted.read_noise_e) ** 2 + dark.white.value
     excess = white - (gain * stated.read_noise_e) ** 2
-    of_sheet = 2 * gain**2 * stated.read_noise_e * stated_stderr
-    total = float(np.sqrt(max(white, 0.0)) / gain)
-    covariance = abs(dark.neighbour.value - dark.row.value)
-    is_shared = covariance > MISFIT_SHARE * max(excess, 0.0) + MISFIT_SD * dark.neighbour.stderr
-    stderr_e = dark.white.stderr / (2 * gain**2 * max(total, 1e-9))
-    return WhiteNoise(total, stderr_e, excess / float(np.hypot(dark.white.stderr, of_sheet)), is_shared)
+    # Error of the stated variance [DN²], by propagation.
+    stated_error = 2 * gain**2 * stated.read_noise_e * stated_stderr
+    total_e = float(np.sqrt(max(white, 0.0)) / gain)
+    shared_excess = abs(dark.neighbour.value - dark.row.value)
+    is_shared = shared_excess > MISFIT_SHARE * max(excess, 0.0) + MISFIT_SD * dark.neighbour.stderr
+    stderr_e = dark.white.stderr / (2 * gain**2 * max(total_e, 1e-9))
+    return WhiteNoise(total_e, stderr_e, excess / float(np.hypot(dark.white.stderr, stated_error)), is_shared)
 
 
 def name_read_noise(
     effects: Sequence[Effect], noise: WhiteNoise, stated: SensorModel, scales: EffectScales
 ) -> list[NamedScatter]:
-    """Return the effects of the read noise whose value dark pixels give."""
+    """Return the effects that set the read noise, with the value that dark pixels show.
+
+    They have one step, which is not random, at the stage of the read noise. `stated` is the sensor of the data sheet.
+    """
     reasons = [] if noise.z >= MIN_Z else ["z below the least"]
     if noise.is_shared:
         reasons.append("neighbours share it: not white")
@@ -168,22 +212,24 @@ def name_read_noise(
     for effect in effects:
         for variant, steps in effect.variants.items():
             if [step.stage for step in steps] == [Stage.READ_NOISE] and isinstance(steps[0], Step):
-                applied = AppliedEffect(effect, variant, (noise.total_e,))
-                least = effect.parameters[0].negligible
-                is_small = noise.total_e - stated.read_noise_e < (least(scales) if callable(least) else least)
+                is_small = noise.total_e - stated.read_noise_e < _negligible_sizes(effect, scales)[0]
                 against = (*reasons, "negligible") if is_small else tuple(reasons)
+                applied = AppliedEffect(effect, variant, (noise.total_e,))
                 found.append(NamedScatter(applied, {effect.parameters[0].name: interval}, noise.z, against))
     return found
 
 
 def deviation_of_field(field: FieldEstimate) -> Deviation:
-    """Return the standard deviation of a relative field."""
+    """Return the standard deviation of a relative field [1], such as granular light or gains of pixels."""
     interval = deviation_interval(field.variance, field.stderr**2)
     return Deviation(interval, field.variance / field.stderr, field.reasons, field.grain_px)
 
 
 def deviation_of_rows(dark: DarkNoise) -> Deviation:
-    """Return the standard deviation of rows."""
+    """Return the standard deviation [DN] of the noise that is common to a row of a frame.
+
+    It is not accepted if rows share it with their neighbours, if it varies along a row, or if it repeats in all frames.
+    """
     row = dark.row
     reasons = []
     if abs(dark.next_row.value) > MISFIT_SHARE * row.value + MISFIT_SD * dark.next_row.stderr:
@@ -196,5 +242,5 @@ def deviation_of_rows(dark: DarkNoise) -> Deviation:
 
 
 def deviation_of_fluctuation(fluctuation: Fluctuation) -> Deviation:
-    """Return the standard deviation of a property of the spot."""
+    """Return the standard deviation of a property of the spot; its z is the root of the gain."""
     return Deviation(fluctuation.deviation, float(np.sqrt(max(fluctuation.gain, 0.0))), fluctuation.reasons)

@@ -1,8 +1,9 @@
 """Chain of nested models from the declared to the extended one, for the validation on held-out frames.
 
-Each model adds one thing: a learned light shape, an effect of the mean image, a law, or an effect that scatters. All
-have laws of their own, fitted to their own brightness and width. What an effect closes of the gap is the difference
-between its model and the one before it.
+Each model adds one thing to the one before it: a learned light shape, an effect of the mean image, a law of brightness
+or width across frames, or a random effect. Every model has a law of the exposure, which is fitted to the brightness and
+width of the spots in its own fit of the pixels. The gap is the mean squared residual on held-out frames over that of
+noise, so that 1 is noise alone. An effect closes the difference between the gaps of its model and the one before it.
 """
 
 from collections.abc import Sequence
@@ -27,61 +28,61 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.stage import Stage
 
-# Pixels and effort of the fits of models between the declared and the final one.
+# Fits of models between the declared and the final one: pixels, Newton decrement, and most iterations.
 PIXELS, TOLERANCE, ITERATIONS = 200_000, 0.3, 20
 # Name of the model that adds a learned shape of the light.
 LIGHT_SHAPE = "light shape"
-# Standard deviations of the gap of the declared model beyond noise without which no share of it is reported.
+# Least gap of the declared model beyond noise, in standard deviations, of which shares are reported.
 SIGNIFICANT_Z = 4.0
 
 
 @dataclass(frozen=True)
 class FittedParts:
-    """Fits that the chain is made of."""
+    """Fits from which the chain is built."""
 
-    declared: JointFit  # without effects
-    with_shape: JointFit | None  # with the learned shape and no other effect; None beside the declared shape
-    final: JointFit  # with all effects of the mean image
-    search: LawSearch  # laws of the final fit's spots
+    declared: JointFit  # fit without effects
+    with_shape: JointFit | None  # fit with the learned shape and no effect; None if the declared shape is kept
+    final: JointFit  # fit with all effects of the mean image
+    search: LawSearch  # search for laws in the spots of the final fit
     laws: tuple[NamedLaw, ...]  # named laws
-    scatter: tuple[NamedScatter, ...]  # named effects that scatter
-    images: ResidualImages  # residuals of the declared light's fit, for gains of pixels
-    scales: EffectScales
+    scatter: tuple[NamedScatter, ...]  # named random effects
+    images: ResidualImages  # residuals of the final fit, from which gains of pixels are estimated
+    scales: EffectScales  # sizes of the dataset
 
 
 def build_chain(parts: FittedParts) -> list[NestedModel]:
-    """Return the models in their order."""
-    law = _law_of(parts.declared, parts).law
-    chain = [NestedModel("", _clean(parts.declared.model, parts, law))]
+    """Return the models of the chain.
+
+    They are the declared model, the light shape, effects of the mean image as they were found, laws from the largest
+    gain on, and random effects.
+    """
+    chain = [NestedModel("", _with_law(parts.declared.model, parts, _fit_law(parts.declared, parts).law))]
     names = list(parts.final.model.effect_names)
     if parts.with_shape is not None:
-        law = _law_of(parts.with_shape, parts).law
         model = parts.with_shape.model.with_fine_structure(parts.final.model)
-        chain.append(NestedModel(LIGHT_SHAPE, _clean(model, parts, law)))
+        chain.append(NestedModel(LIGHT_SHAPE, _with_law(model, parts, _fit_law(parts.with_shape, parts).law)))
     for count in range(1, len(names)):
         fit = _fit_without(parts.final, names[count:])
-        chain.append(NestedModel(names[count - 1], _clean(fit.model, parts, _law_of(fit, parts).law)))
+        chain.append(NestedModel(names[count - 1], _with_law(fit.model, parts, _fit_law(fit, parts).law)))
     if names:
-        last = _clean(parts.final.model, parts, parts.search.fit([]).law)
-        chain.append(NestedModel(names[-1], last))
-    by_gain = sorted(parts.laws, key=lambda law: -law.gain)
-    for count in range(1, len(by_gain) + 1):
-        laws = [law.applied.effect for law in by_gain[:count]]
-        fitted = parts.search.fit(laws)
-        forward = _clean(parts.final.model, parts, fitted.law, fitted.effects)
-        chain.append(NestedModel(laws[-1].name, forward))
+        chain.append(NestedModel(names[-1], _with_law(parts.final.model, parts, parts.search.fit([]).law)))
+    by_gain = [law.applied.effect for law in sorted(parts.laws, key=lambda law: -law.gain)]
+    for count, added in enumerate(by_gain, 1):
+        fitted = parts.search.fit(by_gain[:count])
+        chain.append(NestedModel(added.name, _with_law(parts.final.model, parts, fitted.law, fitted.effects)))
     return _add_scatter(chain, parts)
 
 
-def _law_of(fit: JointFit, parts: FittedParts) -> LawFit:
-    """Return the law without effects of the spots of a fit, with the covariance of the final one's."""
+def _fit_law(fit: JointFit, parts: FittedParts) -> LawFit:
+    """Return the law of the exposure, without effects, of the spots of a fit; their covariance is the final fit's."""
     return parts.search.with_numbers(replace(parts.search.numbers, spots=fit.model.spots)).fit([])
 
 
 def _fit_without(final: JointFit, names: Sequence[str]) -> JointFit:
-    """Return the final fit without some effects, on thinned pixels; shape, sensor and other effects are kept.
+    """Return a fit of the spots to thinned pixels with some effects of the final fit removed.
 
-    An effect that was fitted without another one would take on part of its work.
+    Shape, sensor and the other effects are fixed. If they were fitted again, they would take over part of what the
+    removed effects explain.
     """
     model = replace(final.model, grid=None, free=())
     for name in names:
@@ -89,54 +90,62 @@ def _fit_without(final: JointFit, names: Sequence[str]) -> JointFit:
     return fit_jointly(model, thin_pixels(final.pixels, PIXELS), tolerance=TOLERANCE, iterations=ITERATIONS)
 
 
-def _clean(
-    model: JointModel, parts: FittedParts, law: ExposureLaw, effects: tuple[AppliedEffect, ...] = ()
+def _with_law(
+    model: JointModel, parts: FittedParts, law: ExposureLaw, laws: tuple[AppliedEffect, ...] = ()
 ) -> ForwardModel:
-    """Return a forward model with a law and the stated sensor."""
+    """Return the forward model of a fit with a law of the exposure, further laws, and the sensor of the law search.
+
+    The light shape and the effects of the mean image are those of `model`.
+    """
     baseline = replace(parts.search.forward.baseline, learned=model.forward.baseline.learned)
-    return ForwardModel(baseline, parts.search.forward.sensor, law, (*model.forward.effects, *effects))
+    return ForwardModel(baseline, parts.search.forward.sensor, law, (*model.forward.effects, *laws))
 
 
 def _add_scatter(chain: list[NestedModel], parts: FittedParts) -> list[NestedModel]:
-    """Return the chain with a model for each effect that scatters.
+    """Return the chain with a further model for each named random effect.
 
-    The variation of sites is part of every model, since without it no new site can be predicted.
+    The scatter of brightness and width between sites is part of every model instead, since without it no new site can
+    be predicted.
     """
-    by_site = [named for named in parts.scatter if _scope_of(named) is Scope.SITE and not is_field(named.applied)]
-    site_sd = [0.0, 0.0]
-    for named in by_site:
-        for step in named.applied.effect.variants[named.applied.variant]:
+    of_sites = [named for named in parts.scatter if _scope_of(named) is Scope.SITE and not is_field(named.applied)]
+    site_sd = {Stage.BRIGHTNESS: 0.0, Stage.WIDTH: 0.0}
+    for named in of_sites:
+        for step in _steps_of(named):
             if isinstance(step, RandomStep):
-                place = (Stage.BRIGHTNESS, Stage.WIDTH).index(step.stage)
-                site_sd[place] = named.applied.parameters[named.parameter_of(step)]
-    chain = [replace(nested, scatter=replace(nested.scatter, site_sd=(site_sd[0], site_sd[1]))) for nested in chain]
-    in_law = has_field(parts.final.model)
+                site_sd[step.stage] = named.applied.parameters[named.parameter_of(step)]
+    sds = (site_sd[Stage.BRIGHTNESS], site_sd[Stage.WIDTH])
+    chain = [replace(nested, scatter=replace(nested.scatter, site_sd=sds)) for nested in chain]
     for named in parts.scatter:
-        if named in by_site or named.applied.effect.name in parts.final.model.effect_names:
-            continue
-        last = chain[-1]
-        nested = replace(last, added=named.applied.effect.name)
-        for step in named.applied.effect.variants[named.applied.variant]:
-            nested = _with_step(nested, named, step, parts, in_law)
-        chain.append(nested)
+        name = named.applied.effect.name
+        if named not in of_sites and name not in parts.final.model.effect_names:
+            nested = replace(chain[-1], added=name)
+            for step in _steps_of(named):
+                nested = _with_step(nested, named, step, parts)
+            chain.append(nested)
     return chain
 
 
+def _steps_of(named: NamedScatter) -> tuple[Step | RandomStep, ...]:
+    """Return the steps of the variant of a random effect."""
+    return named.applied.effect.variants[named.applied.variant]
+
+
 def _scope_of(named: NamedScatter) -> Scope | None:
-    """Return the scope of what an effect draws; None for a wider noise of readings."""
-    steps = named.applied.effect.variants[named.applied.variant]
-    return next((step.scope for step in steps if isinstance(step, RandomStep)), None)
+    """Return the scope of what an effect draws; None if it draws nothing, as one that increases the read noise."""
+    return next((step.scope for step in _steps_of(named) if isinstance(step, RandomStep)), None)
 
 
-def _with_step(
-    nested: NestedModel, named: NamedScatter, step: Step | RandomStep, parts: FittedParts, in_law: bool
-) -> NestedModel:
-    """Return the model with the scatter of one step of an effect."""
+def _with_step(nested: NestedModel, named: NamedScatter, step: Step | RandomStep, parts: FittedParts) -> NestedModel:
+    """Return the model with the scatter of one step of an effect.
+
+    Steps that `FrameScatter` does not describe leave the model as it is.
+    """
     scatter, forward = nested.scatter, nested.forward
     if not isinstance(step, RandomStep):
         return replace(nested, forward=replace(forward, effects=(*forward.effects, named.applied)))
     value = named.applied.parameters[named.parameter_of(step)]
-    if step.stage is Stage.SPECKLE_FIELD and not in_law:
+    # Granular light among the effects of the mean image is in the distribution of a reading already.
+    if step.stage is Stage.SPECKLE_FIELD and not has_field(parts.final.model):
         scatter = replace(scatter, field_variance=value**2, grain_px=named.grain_px)
     elif step.stage is Stage.PIXEL_GAIN and value > 0:
         scatter = replace(scatter, gains=estimate_gains(parts.images, value**2))
@@ -153,8 +162,8 @@ def _with_step(
 class ValidatedChain:
     """Predictions of held-out frames by each model of a chain."""
 
-    chain: tuple[NestedModel, ...]
-    predictions: tuple[Prediction, ...]
+    chain: tuple[NestedModel, ...]  # models, from the declared to the extended one
+    predictions: tuple[Prediction, ...]  # prediction of each model
 
     @property
     def is_significant(self) -> bool:
@@ -163,7 +172,10 @@ class ValidatedChain:
         return (first.gap - 1) > SIGNIFICANT_Z * first.deviation
 
     def share_of(self, effect: str) -> float:
-        """Return the part of the declared model's gap that an effect closes; NaN if unknown."""
+        """Return the share of the declared model's gap that an effect closes.
+
+        It is negative for an effect that widens the gap, and NaN without a significant gap or without such an effect.
+        """
         for before, after, nested in zip(self.predictions, self.predictions[1:], self.chain[1:], strict=False):
             if nested.added == effect and self.is_significant:
                 return (before.left_open - after.left_open) / (self.predictions[0].gap - 1)
@@ -171,15 +183,16 @@ class ValidatedChain:
 
     @property
     def closed(self) -> float:
-        """Part of the declared model's gap that all effects close; NaN if there was none."""
+        """Share of the declared model's gap that all effects together close; NaN without a significant gap."""
         if not self.is_significant:
             return float("nan")
         return 1 - max(self.predictions[-1].left_open, 0.0) / (self.predictions[0].gap - 1)
 
     def refuted(self) -> tuple[str, ...]:
-        """Return the effects with which held-out frames are predicted worse, whatever is added behind them.
+        """Return the names of effects that increase −2 ln p of held-out frames by more than `MIN_GAIN`.
 
-        Effects may need one another: a clip without the law behind it can predict worse than no clip.
+        The best of all models that contain the effect counts, since effects may need one another: a clip without a law
+        that follows it in the chain can predict worse than no clip.
         """
         scores = [prediction.score for prediction in self.predictions]
         return tuple(
@@ -188,6 +201,16 @@ class ValidatedChain:
 
 
 def validate_chain(chain: Sequence[NestedModel], frames: FrameSet, start: FrameParameters) -> ValidatedChain:
-    """Predict held-out frames by each model of a chain, from centres that `start` gives."""
+    """Predict held-out frames by each model of a chain.
+
+    Parameters
+    ----------
+    chain : sequence of NestedModel
+        Models, from the declared to the extended one.
+    frames : FrameSet
+        Held-out frames.
+    start : FrameParameters
+        Centres of their spots, from which fits start; peak and width are not used.
+    """
     predictions = tuple(predict_frames(nested, frames, start) for nested in chain)
     return ValidatedChain(tuple(chain), predictions)

@@ -2,13 +2,13 @@
 
 import math
 
-from spotcheck.metrics import crop_metrics
 from spotcheck.model import optics, spot
 from spotcheck.paper.results import Results
 from spotcheck.sensor import ROUNDING_VARIANCE
 
 PRINTED_MAGNIFICATION = 0.2
 FILAMENT_GAP_M = 5.2e-6  # Section 3.1.1
+PRINTED_SENSOR_WIDTH_MM = 22.528  # Section 3.1.1
 
 
 def magnification(results: Results) -> float:
@@ -123,9 +123,20 @@ def top_hat_level(results: Results) -> float:
     return float(spot.top_hat_level(1.0))
 
 
-def psnr_container_gain(results: Results) -> float:
-    """Return the increase of PSNR with the data range 65535 in place of the sensor's own [dB]."""
-    return 20 * math.log10(crop_metrics.CONTAINER_RANGE / float(results.open_file("frames")["full_scale"]))
+def fill_factor(results: Results) -> float:
+    """Return the width of a pixel over the width of the sensor per pixel [%]."""
+    pitch_mm = 1e3 * results.require_key("sensor.pixel_pitch_m")
+    return 100 * pitch_mm / (PRINTED_SENSOR_WIDTH_MM / float(results.open_file("frames")["columns"]))
+
+
+def exposure_step(results: Results) -> float:
+    """Return the mean difference of neighbouring exposures [µs]."""
+    return 1e6 * float(results.metrics["exposure"].diff("exposure").mean())
+
+
+def crop_side(results: Results) -> float:
+    """Return the side of the crops [px]."""
+    return float(results.open_file("crops").sizes["x"])
 
 
 def read_noise_table(results: Results) -> float:

@@ -34,34 +34,34 @@ def p2_sd(results: Results) -> float:
     return float(np.nanstd(_propagation(results)[1], ddof=1))
 
 
-def _psnr(results: Results, statistic: str) -> xr.DataArray:
+def psnr(results: Results, statistic: str) -> xr.DataArray:
     """Return mean or sd of PSNR [angle, exposure] in dB for crops at the maximum and the container range."""
     return results.measured[f"psnr_{statistic}"].sel(registration="maximum", data_range="container")
 
 
 def psnr_smallest(results: Results) -> float:
     """Return the smallest mean PSNR [dB]."""
-    return float(_psnr(results, "mean").min())
+    return float(psnr(results, "mean").min())
 
 
 def psnr_largest(results: Results) -> float:
     """Return the largest mean PSNR [dB]."""
-    return float(_psnr(results, "mean").max())
+    return float(psnr(results, "mean").max())
 
 
 def psnr_sd_smallest(results: Results) -> float:
     """Return the smallest standard deviation of PSNR [dB]."""
-    return float(_psnr(results, "sd").min())
+    return float(psnr(results, "sd").min())
 
 
 def psnr_sd_largest(results: Results) -> float:
     """Return the largest standard deviation of PSNR [dB]."""
-    return float(_psnr(results, "sd").max())
+    return float(psnr(results, "sd").max())
 
 
 def psnr_highest_at_shortest(results: Results) -> float:
     """Return 1 if the mean PSNR over angles is highest at the shortest exposure."""
-    return float(np.argmax(_psnr(results, "mean").mean("angle").values) == 0)
+    return float(np.argmax(psnr(results, "mean").mean("angle").values) == 0)
 
 
 def contrast_smallest(results: Results) -> float:

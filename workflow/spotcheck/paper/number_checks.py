@@ -1,22 +1,29 @@
-"""Check each number of the paper against its counterpart from the results."""
+"""Check each published number and statement of the paper against its counterpart from the results."""
 
 import csv
 import io
+from pathlib import Path
 from typing import NamedTuple
 
-from spotcheck.paper import derived, measured, simulated
+from spotcheck.paper import bright_pixel, derived, measured, simulated, statements
 from spotcheck.paper.results import Results
 
 # Columns of paper_numbers.csv.
-COLUMNS = tuple("id kind section printed low high ours unit holds expected counted because remark".split())
-# Kinds of numbers that are counted, and how the summary calls them.
-KINDS = {"derived": "that follow from its inputs", "simulated": "of its simulation", "measured": "of its frames"}
+COLUMNS = tuple("id role group section printed low high ours unit holds expected because remark".split())
+# Groups that are counted apart, and how the summary calls them.
+GROUPS = {
+    "derived": "that follow from its inputs",
+    "tuned": "that the settings of the virtual rig were searched to meet",
+    "held_out": "held out of that search",
+}
+# Modules whose functions compute values, by the name of the function.
+MODULES = (derived, simulated, measured, statements, bright_pixel)
 
 
 class NumberCheck(NamedTuple):
     """Comparison of one number of the paper with its counterpart."""
 
-    entry: dict  # entry of paper_numbers.yaml
+    entry: dict  # entry of published.yaml
     value: float  # counterpart from the results, in the unit of the entry
     low: float  # smallest accepted value
     high: float  # largest accepted value
@@ -27,13 +34,15 @@ class NumberCheck(NamedTuple):
         return self.low <= self.value <= self.high
 
     @property
-    def is_counted(self) -> bool:
-        """Whether the number is part of the share that must be met."""
-        return self.entry["kind"] in KINDS and self.entry.get("counted", True)
+    def group(self) -> str:
+        """The key of `GROUPS`."""
+        if self.entry["role"] == "derived":
+            return "derived"
+        return "tuned" if self.entry.get("tuned", False) else "held_out"
 
     @property
     def is_expected(self) -> bool:
-        """Whether the number was met when paper_numbers.yaml was last reviewed."""
+        """Whether the number was met when published.yaml was last reviewed."""
         return self.entry.get("holds", True)
 
 
@@ -45,33 +54,52 @@ def accepted_interval(entry: dict) -> tuple[float, float]:
 
 
 def check_numbers(entries: list[dict], results: Results) -> list[NumberCheck]:
-    """Return the check of each entry of paper_numbers.yaml; its `id` names the function that computes its value."""
-    functions = vars(derived) | vars(simulated) | vars(measured)
+    """Return the check of each entry of published.yaml; its `id` names the function that computes its value."""
+    functions = {name: value for module in MODULES for name, value in vars(module).items()}
     return [NumberCheck(entry, float(functions[entry["id"]](results)), *accepted_interval(entry)) for entry in entries]
 
 
+def read_other_seeds(path: Path) -> list[dict[str, int]]:
+    """Return the number of met entries of each group, one record for each seed of published_seeds.csv."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        return [{group: int(row[group]) for group in GROUPS} for row in csv.DictReader(stream)]
+
+
 def count_met(checks: list[NumberCheck]) -> dict[str, tuple[int, int]]:
-    """Return how many numbers of each kind are met, and how many are counted."""
-    counted = {kind: [c for c in checks if c.entry["kind"] == kind and c.is_counted] for kind in KINDS}
-    return {kind: (sum(check.is_met for check in group), len(group)) for kind, group in counted.items()}
+    """Return how many entries of each group are met, and how many there are."""
+    groups = {group: [check for check in checks if check.group == group] for group in GROUPS}
+    return {group: (sum(check.is_met for check in members), len(members)) for group, members in groups.items()}
 
 
-def summarise_checks(checks: list[NumberCheck]) -> str:
-    """Return a Markdown text with the counts of `count_met` and the numbers that are not met."""
-    parts = [f"{met} of {counted} {KINDS[kind]}" for kind, (met, counted) in count_met(checks).items()]
+def summarise_checks(checks: list[NumberCheck], other_seeds: list[dict[str, int]]) -> str:
+    """Return a Markdown text with the counts of `count_met` and the entries that are not met.
+
+    Parameters
+    ----------
+    checks : checks of all entries.
+    other_seeds : one record for each other seed of the rig, with the number of met entries of each group.
+    """
+    counts = count_met(checks)
+    parts = [f"{met} of {total} {GROUPS[group]}" for group, (met, total) in counts.items()]
+    text = f"Of the numbers and statements that the paper prints, {', '.join(parts[:-1])} and {parts[-1]} hold."
+    if other_seeds:
+        ranges = [f"{_mean_and_range([seed[group] for seed in other_seeds])}" for group in ("tuned", "held_out")]
+        text += (
+            f" With {len(other_seeds)} other seeds of the rig, which nothing was searched for, {ranges[0]} of the"
+            f" {counts['tuned'][1]} tuned and {ranges[1]} of the {counts['held_out'][1]} held-out ones hold."
+        )
     failed = [
-        f"{_name_of(check)} (printed: {check.entry['printed']}; ours: {check.value:.3g})"
+        f"- {_name_of(check)} ({check.entry['section']}): printed {check.entry['printed']}; ours {check.value:.3g}"
+        + (", tuned" if check.group == "tuned" else "")
         for check in checks
-        if check.is_counted and not check.is_met
+        if not check.is_met
     ]
-    uncounted = [_name_of(check) for check in checks if not check.is_counted and not check.is_met]
-    return (
-        f"Of the numbers that the paper prints, {', '.join(parts[:-1])} and {parts[-1]} hold.\n\n"
-        f"What does not hold: {'; '.join(failed) or 'nothing'}. Shown but not counted, and not holding either:"
-        f" {', '.join(uncounted) or 'nothing'}.\n\n"
-        "A printed range counts as two numbers, each met within half the range's width; other numbers count as met"
-        " within the printed ±.\n"
-    )
+    return f"{text}\n\nNot met:\n\n" + ("\n".join(failed) or "Nothing.") + "\n"
+
+
+def _mean_and_range(counts: list[int]) -> str:
+    """Return the mean of counts and their range, such as `24.3 (21 to 27)`."""
+    return f"{sum(counts) / len(counts):.1f} ({min(counts)} to {max(counts)})"
 
 
 def _name_of(check: NumberCheck) -> str:
@@ -91,6 +119,6 @@ def format_csv(checks: list[NumberCheck]) -> str:
     writer.writeheader()
     for check in checks:
         numbers = {"low": f"{check.low:.7g}", "high": f"{check.high:.7g}", "ours": f"{check.value:.6g}"}
-        flags = {"holds": check.is_met, "expected": check.is_expected, "counted": check.is_counted}
+        flags = {"holds": check.is_met, "expected": check.is_expected, "group": check.group}
         writer.writerow(check.entry | numbers | flags)
     return stream.getvalue()

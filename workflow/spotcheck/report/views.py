@@ -1,8 +1,12 @@
 """The views stage: the mean reading of each measured crop by each model, and the rms of the residual.
 
-The declared and the extended model are fitted to each frame with free brightness, width and centre. The deviations of
-these from the law that all frames share are stored as well. The simulated baseline follows the law alone, at the
-fitted centre.
+The declared model is that of the instrument file; its part without the sensor is the baseline. The extended model also
+has the effects and learned light shapes that the verdict added. Both are fitted to each frame with free brightness,
+width and centre. A law gives brightness and width by the exposure (parameters p1, p2 and peak); the deviations of each
+frame from it are stored as well. The simulated baseline follows the law alone, at the fitted centre.
+
+A site is the place of a spot: one angle, repeat and set of declared conditions. A light is a learned shape; each pose
+of the beam may have its own.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,12 +37,13 @@ from spotcheck.sensor.model import NoiseLine, noise_line
 
 # Largest number of steps up to full scale; readings are stored as 16-bit multiples of a step, the last code being NaN.
 MAX_STEPS = 65_000
+# Models by name, with their meaning in long names of variables.
 MODELS = {
     "simulated": "the baseline simulated at p1, p2 and peak",
     "declared": "the declared model with the frame's own brightness, width and centre",
     "extended": "the extended model with the frame's own brightness, width and centre",
 }
-# Deviations of a frame from the law of all frames and from its site: unit and meaning.
+# Deviations of a frame from the law of all frames and from its site: unit and meaning of each variable.
 DEVIATIONS = {
     "brighter": ("1", "brightness of the frame over that of the law of all frames, less 1"),
     "wider": ("1", "width of the frame over that of the law of all frames, less 1"),
@@ -46,7 +51,9 @@ DEVIATIONS = {
     "down": ("pixel", "centre of the spot below its site's"),
 }
 
+# Index of a frame on the grid of the dataset.
 Index = tuple[int, ...]
+# Index of each frame, with values of variables of views.nc by name.
 FrameViews = Iterator[tuple[Index, dict[str, Any]]]
 
 
@@ -55,37 +62,41 @@ class ViewedFrames:
     """The usable frames of a dataset, with the camera and the declared light."""
 
     frames: FrameSet  # F frames
-    cells: Sequence[tuple[Index, Frame]]  # place on the grid and row of the manifest of each frame
+    cells: Sequence[tuple[Index, Frame]]  # index on the grid and row of the manifest of each frame
     start: FrameParameters  # spot of each frame, from which fits start
     baseline: Baseline  # declared light
-    sensor: SensorModel  # stated sensor
+    sensor: SensorModel  # sensor of sensor.nc
 
     def list_sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
-        """Return the site of each frame; `conditions` are the declared ones."""
+        """Return the site of each frame; `conditions` are the names of the declared ones.
+
+        Without a law over the exposure, frames of different exposures count as different sites.
+        """
         return [site_of(row, conditions, has_law) for _, row in self.cells]
 
 
 @dataclass(frozen=True)
 class ModelledFrames:
-    """A model fitted to each of F frames; frames may have different learned lights."""
+    """A model fitted to each of F frames; frames may have different lights."""
 
-    lights: tuple[ForwardModel, ...]  # the model with each light; without a law, and with effects that act on the mean
-    light_index: np.ndarray  # index of the light of each frame [frame]
-    fitted: FittedSpots  # spots of the frames
+    lights: tuple[ForwardModel, ...]  # the model with each light: no law, only effects that act on the mean reading
+    light_index: np.ndarray  # index in `lights` of the light of each frame [frame]
+    fitted: FittedSpots  # fitted spots of the frames
 
-    def predict_mean(self, frames: FrameSet, number: int) -> np.ndarray:
-        """Return the mean reading [row, column] in DN of a frame."""
-        at = np.array([number])
-        frame = frames.select(at)
-        model = JointModel(self.lights[self.light_index[number]], self.fitted.spots.select(at), frame.design)
+    def predict_mean(self, frames: FrameSet, k: int) -> np.ndarray:
+        """Return the mean reading [row, column] in DN of the crop of frame `k` of `frames`."""
+        index = np.array([k])
+        frame = frames.select(index)
+        model = JointModel(self.lights[self.light_index[k]], self.fitted.spots.select(index), frame.design)
         return evaluate(model, whole_crops(frame), slice(0, 1), with_slopes=False).moments.mean[0]
 
     def compute_log_spots(self, frames: FrameSet) -> np.ndarray:
-        """Return ln peak [DN] and ln σ_g [px] of the frames behind the effects, [2, frame]."""
+        """Return ln peak [DN] and ln σ_g [px] of the fitted spots after the effects act on them, [2, frame]."""
+        # All lights give the same spots: they only differ in the learned shape.
         return compute_log_spots(self.lights[0], frames, self.fitted.spots)
 
     def remove_effect(self, name: str, spots: FrameParameters) -> "ModelledFrames":
-        """Return the model without an effect, at other spots."""
+        """Return the model without the effect `name`, with `spots` in place of the fitted ones."""
         lights = tuple(
             replace(light, effects=tuple(applied for applied in light.effects if applied.effect.name != name))
             for light in self.lights
@@ -97,87 +108,104 @@ class ModelledFrames:
 class ExtendedViews:
     """The extended model on F frames."""
 
-    model: ModelledFrames  # with all effects
-    without: tuple[ModelledFrames, ...]  # without each effect of the model
-    deviations: dict[str, np.ndarray]  # deviations by name of `DEVIATIONS` [frame]
+    model: ModelledFrames  # model with all effects
+    without: tuple[ModelledFrames, ...]  # model without each of its effects, in their order
+    deviations: dict[str, np.ndarray]  # deviations by name of `DEVIATIONS` [frame]; NaN if unknown
     stderr: dict[str, np.ndarray]  # their standard errors
 
 
 def compute_log_spots(forward: ForwardModel, frames: FrameSet, spots: FrameParameters | None = None) -> np.ndarray:
-    """Return ln peak [DN] and ln σ_g [px] of frames by the law of a model, or without a law by `spots`; [2, frame]."""
+    """Return ln peak [DN] and ln σ_g [px] of the spots of frames, [2, frame], including what effects change in them.
+
+    Parameters
+    ----------
+    forward : ForwardModel
+        Model with a law; without one `spots` must be given.
+    frames : FrameSet
+        The frames.
+    spots : FrameParameters, optional
+        Brightness and width of each frame, on which the effects of a model without law act.
+    """
     conditions = spot_conditions(frames.design)
     if spots is not None:
         peak, sigma = (np.exp(values)[:, None, None] for values in (spots.log_peak, spots.log_sigma))
         conditions = replace(conditions, peak_dn=peak, sigma_px=sigma)
+    # An effect far outside of its range may give a peak or width that has no logarithm: NaN.
     with np.errstate(all="ignore"):
         state = forward.spot(conditions)
-        parts = [np.broadcast_to(part, (len(frames), 1, 1)).ravel() for part in (state.peak_dn, state.sigma_px)]
-        return np.log(np.array(parts, float))
+        rows = [np.broadcast_to(row, (len(frames), 1, 1)).ravel() for row in (state.peak_dn, state.sigma_px)]
+        return np.log(np.array(rows, float))
 
 
-def view_declared(viewed: ViewedFrames) -> ModelledFrames:
-    """Return the declared model fitted to each frame."""
+def fit_declared(viewed: ViewedFrames) -> ModelledFrames:
+    """Return the declared model fitted to each frame, with free brightness, width and centre."""
+    # With a "free" photon budget no law ties the brightness to the exposure.
     forward = ForwardModel(replace(viewed.baseline, photon_budget="free"), viewed.sensor)
     fitted = fit_spots(forward, viewed.frames, viewed.start)
     return ModelledFrames((forward,), np.zeros(len(viewed.frames), int), fitted)
 
 
-def view_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
+def fit_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
     """Return the extended model fitted to each frame, and without each of its effects.
 
     Parameters
     ----------
     viewed : ViewedFrames
-        The frames; their `start` should be the spots of the declared model.
+        The frames; their `start` should be the fitted spots of the declared model.
     extended : ExtendedModel
-        The model.
+        The extended model of model.yaml.
     sites : sequence of Site
         Site of each frame.
     """
+    # A frame has the first light if the model does not know its site or has no light for it.
     light_index = np.array([(spot and spot.light) or 0 for spot in map(extended.spots.get, sites)], int)
     baseline = replace(viewed.baseline, photon_budget="free")
-    learned = extended.lights or (baseline.learned,)
+    shapes = extended.lights or (baseline.learned,)
     effects = tuple(filter(acts_on_mean, extended.effects))
-    lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in learned)
+    lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in shapes)
     model = ModelledFrames(lights, light_index, _fit_each_light(lights, light_index, viewed))
     without = []
     for applied in progress.track(extended.effects, "models without each effect"):
-        spots = _spots_without(viewed, extended, model, applied)
-        other = model.remove_effect(applied.effect.name, spots)
+        reduced = model.remove_effect(applied.effect.name, _predict_spots_without(viewed, extended, model, applied))
         # An effect without stages is the learned light; without it the declared light remains.
         if not applied.effect.stages:
-            other = replace(other, lights=tuple(replace(light, baseline=baseline) for light in other.lights))
-        without.append(other)
+            reduced = replace(reduced, lights=tuple(replace(light, baseline=baseline) for light in reduced.lights))
+        without.append(reduced)
     return ExtendedViews(model, tuple(without), *_measure_deviations(viewed, extended, model, sites))
 
 
 def _fit_each_light(lights: Sequence[ForwardModel], light_index: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
-    """Fit the spot of each frame with the model of its light."""
-    rows, covariance = np.empty((4, len(light_index))), np.empty((len(light_index), 4, 4))
-    has_converged = np.empty(len(light_index), bool)
-    for number, forward in enumerate(lights):
-        at = np.flatnonzero(light_index == number)
-        fitted = fit_spots(forward, viewed.frames.select(at), viewed.start.select(at))
-        rows[:, at], covariance[at] = fitted.spots.as_rows(), fitted.covariance
-        has_converged[at] = fitted.has_converged
+    """Return the spot of each frame, fitted with the model of its light: `lights[light_index[frame]]`."""
+    start = viewed.start.as_rows()
+    parameters, frames = start.shape
+    rows, covariance = np.empty_like(start), np.empty((frames, parameters, parameters))
+    has_converged = np.empty(frames, bool)
+    for k, forward in enumerate(lights):
+        indices = np.flatnonzero(light_index == k)
+        fitted = fit_spots(forward, viewed.frames.select(indices), viewed.start.select(indices))
+        rows[:, indices], covariance[indices] = fitted.spots.as_rows(), fitted.covariance
+        has_converged[indices] = fitted.has_converged
     return FittedSpots(FrameParameters(*rows), covariance, has_converged)
 
 
-def _spots_without(
-    viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, left_out: AppliedEffect
+def _predict_spots_without(
+    viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, removed: AppliedEffect
 ) -> FrameParameters:
-    """Return the spots of frames with the effect's change of the law of brightness and width undone."""
+    """Return the spots that the frames would have without an effect that changes the law of brightness or width.
+
+    These are the fitted spots of `model` for an effect that does not change the law, and without a law.
+    """
     spots = model.fitted.spots
     if extended.law is None:
         return spots
-    remaining = [applied for applied in extended.effects if applied is not left_out]
-    by_law, complete = (
+    remaining = [applied for applied in extended.effects if applied is not removed]
+    law_without, law_with = (
         compute_log_spots(ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(effects)), viewed.frames)
         for effects in (remaining, extended.effects)
     )
-    # `remove_effect` already removes the effect's change of the fitted brightness and width.
-    alone = compute_log_spots(model.remove_effect(left_out.effect.name, spots).lights[0], viewed.frames, spots)
-    change = by_law - complete - (alone - model.compute_log_spots(viewed.frames))
+    # `remove_effect` already removes the effect's change of the fitted brightness and width; it must not count twice.
+    fit_without = compute_log_spots(model.remove_effect(removed.effect.name, spots).lights[0], viewed.frames, spots)
+    change = law_without - law_with - (fit_without - model.compute_log_spots(viewed.frames))
     change = np.where(np.isfinite(change), change, 0.0)
     return replace(spots, log_peak=spots.log_peak + change[0], log_sigma=spots.log_sigma + change[1])
 
@@ -185,7 +213,11 @@ def _spots_without(
 def _measure_deviations(
     viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, sites: Sequence[Site]
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Return the deviations of frames from law and site, and standard errors, by name [frame]; NaN if unknown."""
+    """Return the deviations of frames from law and site, and their standard errors, by name of `DEVIATIONS` [frame].
+
+    They are NaN without a law, and for a frame whose site is unknown to the model.
+    """
+    # Rows in the order of `DEVIATIONS`: relative brightness and width, column and row.
     value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
     spots = model.fitted.spots
     if extended.law is not None:
@@ -196,36 +228,50 @@ def _measure_deviations(
         if (spot := extended.spots.get(site)) is not None:
             value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
     stderr = np.sqrt(np.maximum(np.diagonal(model.fitted.covariance, axis1=1, axis2=2).T, 0.0))
+    # The fit has errors of ln peak and ln σ_g. Errors of law and site are not included.
     stderr[:2] *= 1 + value[:2]
     stderr = np.where(np.isfinite(value), stderr, np.nan)
     return dict(zip(DEVIATIONS, value, strict=True)), dict(zip(DEVIATIONS, stderr, strict=True))
 
 
 def list_variables(step: float, models: Sequence[str], has_effects: bool) -> dict[str, store.Variable]:
-    """Return the variables of the file; `has_effects` is whether the extended model has any effect."""
-    out = {}
+    """Return the definitions of the variables of views.nc by name.
+
+    Parameters
+    ----------
+    step : float
+        Step of stored readings [DN].
+    models : sequence of str
+        Keys of `MODELS` that the file has.
+    has_effects : bool
+        Whether the extended model has any effect.
+    """
+    variables = {}
     for name in models:
-        words = MODELS[name]
-        out[name] = store.Variable(("y", "x"), "u2", "DN", f"mean reading by {words}", step)
-        out[f"{name}_rms"] = store.Variable((), "f8", "DN", f"rms of measured less mean reading by {words}")
-        out[f"{name}_left"] = store.Variable((), "f8", "1", f"the same over the sensor's noise, by {words}")
+        meaning = MODELS[name]
+        variables[name] = store.Variable(("y", "x"), "u2", "DN", f"mean reading by {meaning}", step)
+        variables[f"{name}_rms"] = store.Variable((), "f8", "DN", f"rms of measured less mean reading by {meaning}")
+        variables[f"{name}_left"] = store.Variable((), "f8", "1", f"the same over the sensor's noise, by {meaning}")
     if "extended" in models:
         for name, (unit, meaning) in DEVIATIONS.items():
-            out[name] = store.Variable((), "f8", unit, meaning)
-            out[f"{name}_stderr"] = store.Variable((), "f8", unit, f"standard error of {meaning}")
+            variables[name] = store.Variable((), "f8", unit, meaning)
+            variables[f"{name}_stderr"] = store.Variable((), "f8", unit, f"standard error of {meaning}")
     if has_effects:
         text = "mean reading by the extended model without one of its effects"
-        out["extended_without"] = store.Variable(("without", "y", "x"), "u2", "DN", text, step)
-    return out
+        variables["extended_without"] = store.Variable(("without", "y", "x"), "u2", "DN", text, step)
+    return variables
 
 
 def choose_step(full_scale: float) -> float:
-    """Return the step of stored readings [DN], a power of two."""
+    """Return the step of stored readings [DN]: the smallest power of two that needs at most `MAX_STEPS` steps."""
     return float(2.0 ** np.ceil(np.log2(full_scale / MAX_STEPS)))
 
 
 def rms_residual(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
-    """Return the rms of measured less mean readings [row, column]: in DN, and over the noise; NaN without a pixel."""
+    """Return the rms of measured less mean readings [row, column] in DN, and that of the residuals over the noise.
+
+    `line` gives the variance of the noise at a mean reading. NaN pixels do not count; both are NaN without any other.
+    """
     square = (measured - mean) ** 2
     if not np.isfinite(square).any():
         return np.nan, np.nan
@@ -243,70 +289,77 @@ def write_views(
     code: str,
     inputs: Sequence[str | Path],
 ) -> None:
-    """Write the views of all spot frames, one by one.
+    """Write views.nc, frame by frame.
 
     Parameters
     ----------
     dataset : Dataset
         The dataset.
     files : mapping of str to Dataset
-        Crops, fits, calibration and sensor by name.
+        Content of crops.nc, fits.nc, calibration.nc and sensor.nc by name without suffix.
     viewed : ViewedFrames or None
         Frames that a verdict can use; None if there are none.
     model : ExtendedModel or None
-        The extended model; None if there is none.
+        The extended model; None if there is none, as without `viewed`.
     path : Path
         File to write.
     reason : str
         Why there is no extended model; "" if there is one.
-    code, inputs : str, sequence of path
-        Provenance, as `store.frame_writer` takes it.
+    code : str
+        Digest of the code that computes the file.
+    inputs : sequence of str or Path
+        Files that the result depends on.
     """
     full_scale = float(files["sensor"]["full_scale_dn"])
     sensor = None if viewed is None else viewed.sensor
     line = noise_line(sensor)
-    effects = [] if model is None else [applied.effect.name for applied in model.effects]
+    effect_names = [] if model is None else [applied.effect.name for applied in model.effects]
     models = [name for name in MODELS if name == "simulated" or (viewed and (name == "declared" or model is not None))]
-    contents = list_variables(choose_step(full_scale), models, bool(effects))
+    variables = list_variables(choose_step(full_scale), models, bool(effect_names))
     measured, dims = files["crops"]["image"].sel(centring="light"), store.grid_dims(files["crops"])
-    extra = _coordinates(dataset, line, effects).assign_attrs(extended=reason or "model.yaml")
-    with store.frame_writer(path, dataset, extra, contents, code=code, inputs=inputs) as writer:
-        iterators = [simulate_views(dataset, files, sensor)]
+    extra = _list_coordinates(dataset, line, effect_names).assign_attrs(extended=reason or "model.yaml")
+    with store.frame_writer(path, dataset, extra, variables, code=code, inputs=inputs) as writer:
+        sources = [simulate_views(dataset, files, sensor)]
         if viewed is not None:
-            iterators.append(model_views(dataset, viewed, model))
-        for views in iterators:
+            sources.append(model_views(dataset, viewed, model))
+        for views in sources:
             for index, values in progress.track(views, "views of frames", len(dataset.spots)):
                 image = measured.isel(dict(zip(dims, index, strict=True))).values.astype(float)
                 for name in [name for name in MODELS if name in values]:
                     rms, over_noise = rms_residual(image, values[name], line)
                     values |= {f"{name}_rms": rms, f"{name}_left": over_noise}
-                clipped = {k: np.clip(v, 0.0, full_scale) if contents[k].step else v for k, v in values.items()}
+                # Only images have a step; the codes of their integers end at full scale.
+                clipped = {k: np.clip(v, 0.0, full_scale) if variables[k].step else v for k, v in values.items()}
                 writer.put(index, clipped)
 
 
-def _coordinates(dataset: Dataset, line: NoiseLine, effects: Sequence[str]) -> xr.Dataset:
-    """Return the coordinates of the file and the line of the sensor's noise."""
-    out = xr.Dataset()
+def _list_coordinates(dataset: Dataset, line: NoiseLine, effect_names: Sequence[str]) -> xr.Dataset:
+    """Return the coordinates of views.nc beside the grid, and the line of the sensor's noise."""
+    ds = xr.Dataset()
     for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
         values = np.arange(dataset.instrument.crop_px, dtype="i4")
-        out[name] = (name, values, {"units": "pixel", "long_name": text})
-    if effects:
+        ds[name] = (name, values, {"units": "pixel", "long_name": text})
+    if effect_names:
         attributes = {"units": "1", "long_name": "effect that is left out"}
-        out["without"] = ("without", np.array(effects, dtype=object), attributes)
-    out["noise_at_zero"] = ((), line.at_zero, {"units": "DN2", "long_name": "variance of a reading of 0 DN"})
-    out["noise_slope"] = ((), line.slope, {"units": "DN", "long_name": "rise of that variance for each DN of mean"})
-    return out
+        ds["without"] = ("without", np.array(effect_names, dtype=object), attributes)
+    ds["noise_at_zero"] = ((), line.at_zero, {"units": "DN2", "long_name": "variance of a reading of 0 DN"})
+    ds["noise_slope"] = ((), line.slope, {"units": "DN", "long_name": "rise of that variance for each DN of mean"})
+    return ds
 
 
 def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
-    """Yield the simulated baseline at the fitted centre of each spot; a frame without a usable spot has no light."""
+    """Yield the mean reading of the simulated baseline at the fitted centre of each spot frame.
+
+    The spot is in the middle of the crop if the fit is not trusted. A frame without a usable spot has no light. If
+    `sensor` is None (unknown), the light itself is yielded. `files` as in `write_views`.
+    """
     crops, fits = files["crops"].sel(centring="light"), select_preferred_fits(files["fits"])
     states = list_spot_states(dataset, files["calibration"], files["fits"])
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     dims, pixel = store.grid_dims(files["crops"]), np.arange(dataset.instrument.crop_px, dtype=float)
     for index, row in dataset.cells():
-        at = dict(zip(dims, index, strict=True))
-        crop, fit, state = crops.isel(at), fits.isel(at), states[index]
+        selection = dict(zip(dims, index, strict=True))
+        crop, fit, state = crops.isel(selection), fits.isel(selection), states[index]
         x0, y0 = float(fit["x_centre"] - crop["left"]), float(fit["y_centre"] - crop["top"])
         if int(fit["status"]) & store.UNTRUSTED or not np.isfinite([x0, y0]).all():
             x0 = y0 = float(len(pixel) // 2)
@@ -320,12 +373,15 @@ def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: Se
 
 
 def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
-    """Yield the declared and the extended model on each frame that a verdict can use."""
-    declared = view_declared(viewed)
+    """Yield mean readings of the declared and the extended model, and deviations, of each frame of `viewed`.
+
+    `model` is the extended model; None if there is none.
+    """
+    declared = fit_declared(viewed)
     extended = None
     if model is not None:
         sites = viewed.list_sites(dataset.instrument.conditions, model.law is not None)
-        extended = view_extended(replace(viewed, start=declared.fitted.spots), model, sites)
+        extended = fit_extended(replace(viewed, start=declared.fitted.spots), model, sites)
     for k, (index, _) in enumerate(viewed.cells):
         values: dict[str, Any] = {"declared": declared.predict_mean(viewed.frames, k)}
         if extended is not None:
@@ -333,6 +389,6 @@ def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | N
             values |= {name: deviation[k] for name, deviation in extended.deviations.items()}
             values |= {f"{name}_stderr": stderr[k] for name, stderr in extended.stderr.items()}
             if extended.without:
-                readings = [other.predict_mean(viewed.frames, k) for other in extended.without]
+                readings = [reduced.predict_mean(viewed.frames, k) for reduced in extended.without]
                 values["extended_without"] = np.array(readings)
         yield index, values

@@ -1,6 +1,7 @@
-"""Differences and trends of numbers, and which of them are significant.
+"""Differences and trends of numbers of several datasets, and which of them are significant.
 
-The standard error of a mean of few values is uncertain itself. Differences and slopes are therefore tested with
+A trend is the slope of a straight line through one number of every dataset, over their dates or their order. The
+standard error of a mean of few values is uncertain itself. Differences and slopes are therefore tested with
 Student's t distribution at the degrees of freedom of Welch and Satterthwaite (B. L. Welch, Biometrika 34, 28, 1947).
 A page tests many numbers. Holm's correction (S. Holm, Scand. J. Statist. 6, 65, 1979) keeps the probability that it
 marks anything by chance below `FALSE_ALARM_RATE`, whatever the correlation of the numbers.
@@ -14,32 +15,35 @@ from scipy import stats
 
 from spotcheck.report.comparison.numbers import Measurement
 
-# Family-wise error rate of all differences of a page, and of all its trends. Weekly comparisons give one false alarm
-# in two years.
+# Family-wise error rate of all differences of a page, and separately of all its trends: weekly comparisons of equal
+# datasets mark a difference by chance once in two years.
 FALSE_ALARM_RATE = 0.01
-# Datasets that a trend needs: two points always lie on a line.
+# Number of datasets that a trend needs: two points always lie on a line.
 MIN_TREND_POINTS = 3
 
 
 @dataclass(frozen=True)
 class Change:
-    """A difference or a slope with its two-sided test against zero; NaN if there is no standard error."""
+    """A difference or a slope with its two-sided test against zero.
 
-    value: float = np.nan  # difference, or slope per unit of place
-    stderr: float = np.nan  # its standard error
-    degrees: float = np.nan  # degrees of freedom of the standard error
+    Everything is NaN if there is no value, and everything but the value if it has no standard error.
+    """
+
+    value: float = np.nan  # difference [unit of the number], or slope [that per unit of the trend axis]
+    stderr: float = np.nan  # standard error [unit of the value]
+    degrees: float = np.nan  # degrees of freedom of the standard error; infinite if it is not from scatter
     z: float = np.nan  # normal deviate with the same p-value and the sign of the value
     p_value: float = np.nan  # two-sided p-value
 
 
 def difference(reference: Measurement, other: Measurement) -> Change:
-    """Return the difference of a number from the reference; its error is NaN if either has none."""
-    parts = [(number.stderr**2, number.degrees) for number in (reference, other)]
-    return _test_change(other.value - reference.value, *_combine_variances(parts))
+    """Return `other` − `reference` with its test; only the value is known if either has no standard error."""
+    terms = [(number.stderr**2, number.degrees) for number in (reference, other)]
+    return _test_change(other.value - reference.value, *_combine_variances(terms))
 
 
 def fit_trend(places: Sequence[float], numbers: Sequence[Measurement]) -> tuple[Change, float]:
-    """Fit a straight line through numbers.
+    """Fit a straight line through a number of several datasets, and test its slope.
 
     All points have equal weight, since standard errors from few repeats are too uncertain for weights. The standard
     error of the slope is the larger of two: the error propagated from the numbers, and that of the scatter about
@@ -48,37 +52,39 @@ def fit_trend(places: Sequence[float], numbers: Sequence[Measurement]) -> tuple[
     Parameters
     ----------
     places : sequence of float
-        Abscissa of each number.
+        Position of each dataset on the trend axis.
     numbers : sequence of Measurement
-        The numbers.
+        The number in each dataset, with finite values.
 
     Returns
     -------
     slope : Change
-        Slope per unit of place; NaN with fewer than `MIN_TREND_POINTS` points.
+        Slope per unit of the trend axis; NaN with fewer than `MIN_TREND_POINTS` points or if all places are equal.
     intercept : float
-        Value of the line at place 0.
+        Value of the line at place 0; NaN without a slope.
     """
     x, y = np.array(places, float), np.array([number.value for number in numbers])
     if len(x) < MIN_TREND_POINTS or np.ptp(x) == 0:
         return Change(), np.nan
+    # The slope of least squares is the sum of y times these weights.
     weights = (x - x.mean()) / np.sum((x - x.mean()) ** 2)
     slope = float(weights @ y)
     intercept = float(y.mean() - slope * x.mean())
-    parts = [((weight * n.stderr) ** 2, n.degrees) for weight, n in zip(weights, numbers, strict=True)]
-    stderr, degrees = _combine_variances(parts)
+    terms = [((weight * number.stderr) ** 2, number.degrees) for weight, number in zip(weights, numbers, strict=True)]
+    stderr, degrees = _combine_variances(terms)
     residual_variance = np.sum((y - intercept - slope * x) ** 2) / (len(x) - 2)
     scatter_stderr = float(np.sqrt(residual_variance * np.sum(weights**2)))
-    # Written so that a NaN of the propagated error gives way to the scatter.
+    # The comparison is also true if the propagated error is NaN: the scatter is then the only error.
     if not scatter_stderr <= stderr:
         stderr, degrees = scatter_stderr, len(x) - 2.0
     return _test_change(slope, stderr, degrees), intercept
 
 
 def select_significant(p_values: Sequence[float]) -> np.ndarray:
-    """Return which p-values are significant by Holm's step-down procedure [bool]; NaN never is.
+    """Return a mask of the p-values that are significant by Holm's step-down procedure; NaN never is.
 
-    The k-th smallest of n p-values is compared with `FALSE_ALARM_RATE` / (n − k + 1), until the first one is larger.
+    The k-th smallest of n finite p-values is significant if it and all smaller ones pass their tests: each must not
+    exceed `FALSE_ALARM_RATE` / (n − k + 1).
     """
     p = np.array(p_values, float)
     order = np.argsort(p)[: int(np.isfinite(p).sum())]
@@ -88,18 +94,21 @@ def select_significant(p_values: Sequence[float]) -> np.ndarray:
     return is_significant
 
 
-def _combine_variances(parts: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return the standard error of a sum and its degrees of freedom, from those of its terms (variance, degrees)."""
-    variances, degrees = np.array(parts, float).T
+def _combine_variances(terms: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Return the standard error of a sum and its degrees of freedom, by Welch and Satterthwaite.
+
+    A term is (variance, degrees of freedom). Both results are NaN if a variance is NaN or all are 0.
+    """
+    variances, degrees = np.array(terms, float).T
     total = variances.sum()
     if not total > 0:
         return np.nan, np.nan
-    inverse = float(np.sum((variances / total) ** 2 / degrees))
-    return float(np.sqrt(total)), 1 / inverse if inverse > 0 else np.inf
+    inverse_degrees = float(np.sum((variances / total) ** 2 / degrees))
+    return float(np.sqrt(total)), 1 / inverse_degrees if inverse_degrees > 0 else np.inf
 
 
 def _test_change(value: float, stderr: float, degrees: float) -> Change:
-    """Test a value against zero."""
+    """Return a value with its two-sided t test against zero; without a positive `stderr`, only the value."""
     if not stderr > 0:
         return Change(value)
     t = value / stderr

@@ -1,4 +1,9 @@
-"""Numbers of a results folder that can be compared with those of other datasets."""
+"""Numbers of a results folder that can be compared with those of other datasets.
+
+p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure. The crops are images
+of single spots. The verdict (verdict.json) is the result of the test which effects a model of the frames lacks; its
+baseline is the model without added effects.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,27 +21,28 @@ from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 
-# Variables of the spot fits that are compared, with their meaning.
+# Variables of fits.nc that are compared, with their meaning.
 SPOT_VARIABLES = {
     "sigma_major": "width of the long axis",
     "sigma_minor": "width of the short axis",
     "amplitude": "amplitude",
 }
-# PSNR of crops registered on their fitted centres, relative to the range of the sensor.
+# Labels of metrics.nc that select the PSNR of crops registered on their fitted centres, over the sensor's range.
 PSNR = {"registration": "fitted", "data_range": "sensor"}
 # A fit with one of these flags has no usable standard error.
-NO_ERROR = store.flag("misfit") | store.flag("no_error")
+ERROR_UNUSABLE = store.flag("misfit") | store.flag("no_error")
+# `Measurement.error` of a number without a standard error.
 UNKNOWN_ERROR = "no error known"
 # Groups of quantities, in the order in which they are shown.
-LAW, SENSOR, EMVA_NAMES, FOUND = "p1 and p2", "Sensor", "Flats and darks", "What was added to the model"
+LAW, SENSOR, EMVA, VERDICT = "p1 and p2", "Sensor", "Flats and darks", "What was added to the model"
 BEAM, SPOT, METRICS = "Beam", "Spots", "Metrics"
-GROUPS = (LAW, SENSOR, EMVA_NAMES, FOUND, BEAM, SPOT, METRICS)
+GROUPS = (LAW, SENSOR, EMVA, VERDICT, BEAM, SPOT, METRICS)
 
 
 class Condition(NamedTuple):
-    """Value of a design axis."""
+    """Value of a design axis at which frames were taken."""
 
-    axis: str  # name of the axis
+    axis: str  # name of the axis, such as "angle"
     value: float  # value on the axis [unit]
     unit: str  # unit of the axis
 
@@ -56,23 +62,23 @@ class Measurement:
     value: float = np.nan  # value [units]; NaN if the dataset lacks the number
     stderr: float = np.nan  # standard error [units]; NaN if unknown
     degrees: float = np.nan  # degrees of freedom of the standard error; infinite if it is not from scatter
-    units: str = ""  # unit
+    units: str = ""  # unit; "1" for a pure number, "" if the dataset lacks the number
     error: str = ""  # source of the standard error, such as "scatter of 6 sites"
-    source: str = ""  # variable of the result file
+    source: str = ""  # variable of the result file that holds the value
 
 
-# Number of a dataset that lacks it.
+# Stands for a number that a dataset lacks.
 ABSENT = Measurement()
 NamedMeasurements = Iterator[tuple[QuantityName, Measurement]]
 
 
 def collect_numbers(files: dict[str, xr.Dataset], verdict: dict[str, Any] | None) -> dict[QuantityName, Measurement]:
-    """Return every finite number of a dataset.
+    """Return every finite number of a dataset that can be compared.
 
     Parameters
     ----------
     files : dict of str to Dataset
-        netCDF results by name without suffix.
+        netCDF results by file name without suffix.
     verdict : dict or None
         Content of verdict.json; None if there is none.
 
@@ -87,31 +93,40 @@ def collect_numbers(files: dict[str, xr.Dataset], verdict: dict[str, Any] | None
         If a file lacks a variable because another version wrote it.
     """
     numbers: dict[QuantityName, Measurement] = {}
-    for name, read in READERS.items():
-        if name in files and "skipped" not in files[name].attrs:
-            numbers |= _read_or_refuse(f"{name}.nc", read, files[name])
+    for stem, read in READERS.items():
+        if stem in files and "skipped" not in files[stem].attrs:
+            numbers |= _read_or_refuse(f"{stem}.nc", read, files[stem])
     if "transfer" in files and "skipped" not in files["transfer"].attrs:
         # sensor.nc repeats the results of flats and darks.
         by_flats = f", by {sensor_choice.FLATS}"
-        numbers = {k: v for k, v in numbers.items() if not (k.group == SENSOR and k.quantity.endswith(by_flats))}
+        for name in [name for name in numbers if name.group == SENSOR and name.quantity.endswith(by_flats)]:
+            del numbers[name]
     if verdict is not None:
         numbers |= _read_or_refuse("verdict.json", _read_verdict, verdict)
     return {name: number for name, number in numbers.items() if np.isfinite(number.value)}
 
 
 def _read_or_refuse(
-    file: str, read: Callable[[Any], NamedMeasurements], content: Any
+    file_name: str, read: Callable[[Any], NamedMeasurements], content: xr.Dataset | dict[str, Any]
 ) -> dict[QuantityName, Measurement]:
-    """Return the numbers of a file. Raises `InputError` if it lacks one of them."""
+    """Return the numbers that `read` yields from the content of a result file, NaN included.
+
+    Raises `InputError` if the file lacks a variable or key, as files of another version do.
+    """
     try:
         return dict(read(content))
     except KeyError:
-        dataset = content["dataset"] if isinstance(content, dict) else content.attrs["dataset"]
-        raise InputError(f"{file} of {dataset}: is of another version; run the workflow on the dataset again") from None
+        name = content["dataset"] if isinstance(content, dict) else content.attrs["dataset"]
+        raise InputError(
+            f"{file_name} of {name}: is of another version; run the workflow on the dataset again"
+        ) from None
 
 
 def _measure(value: Any, stderr: Any, units: str, error: str, source: str, degrees: float = np.inf) -> Measurement:
-    """Return a number; a standard error of 0 counts as unknown, since no measurement is exact."""
+    """Return a number as a `Measurement`, whose fields the arguments are; a value or error of None is NaN.
+
+    A standard error of 0 counts as unknown, since no measurement is exact.
+    """
     value, stderr = (np.nan if number is None else float(number) for number in (value, stderr))
     if not (np.isfinite(stderr) and stderr > 0):
         stderr, degrees, error = np.nan, np.nan, UNKNOWN_ERROR
@@ -119,18 +134,18 @@ def _measure(value: Any, stderr: Any, units: str, error: str, source: str, degre
 
 
 def _read_calibration(ds: xr.Dataset) -> NamedMeasurements:
-    """Yield p1 and p2 by the estimator that the simulation uses."""
+    """Yield p1 and p2 from calibration.nc, by the estimator that the simulation uses."""
     calibration = ds.sel({"estimator": ds.attrs["used"]})
     for name in ("p1", "p2"):
         sites = int(calibration[name].notnull().sum())
-        mean = calibration[f"{name}_mean"]
-        stderr, units = calibration[f"{name}_stderr"], str(mean.attrs["units"])
-        number = _measure(mean, stderr, units, f"scatter of {sites} sites", f"{name}_mean", sites - 1)
+        mean, stderr = calibration[f"{name}_mean"], calibration[f"{name}_stderr"]
+        error = f"scatter of {sites} sites"
+        number = _measure(mean, stderr, str(mean.attrs["units"]), error, f"{name}_mean", sites - 1)
         yield QuantityName(LAW, name), number
 
 
 def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
-    """Yield the quantities of the sensor from each source."""
+    """Yield the quantities in sensor.nc by each source: data sheet, flats and darks, spots."""
     errors = {
         sensor_choice.SHEET: "stated by the data sheet",
         sensor_choice.FLATS: "flats and darks",
@@ -143,104 +158,113 @@ def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
 
 
 def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
-    """Yield the quantities of EMVA 1288 from flats and darks."""
+    """Yield the quantities of EMVA 1288 in transfer.nc, which are from flats and darks."""
     for quantity in read_quantities(ds).values():
-        name = QuantityName(EMVA_NAMES, f"{photon_transfer.QUANTITIES[quantity.name][2]}, {quantity.symbol}")
+        _, _, meaning = photon_transfer.QUANTITIES[quantity.name]
+        name = QuantityName(EMVA, f"{meaning}, {quantity.symbol}")
         source = f"value: {quantity.name}"
         yield name, _measure(quantity.value, quantity.stderr, quantity.unit, "fit to the levels", source)
 
 
 def _read_caustic(ds: xr.Dataset) -> NamedMeasurements:
-    """Yield the quantities of the beam along each axis."""
+    """Yield the quantities of the beam in caustic.nc along both axes, and those of the mean of both."""
     for axis in caustic.AXES:
         beam = ds.sel({"axis": axis})
         axis_text = "mean of both axes" if axis == "mean" else f"{axis} axis"
         for name, (units, long_name) in caustic.QUANTITIES.items():
-            error, degrees = "fit to the widths, with their scatter", float(beam["degrees_of_freedom"])
-            number = _measure(beam[name], beam[f"{name}_stderr"], units, error, name, degrees)
+            stderr, degrees = beam[f"{name}_stderr"], float(beam["degrees_of_freedom"])
+            number = _measure(beam[name], stderr, units, "fit to the widths, with their scatter", name, degrees)
             yield QuantityName(BEAM, f"{long_name}, {axis_text}"), number
 
 
 def _read_fits(ds: xr.Dataset) -> NamedMeasurements:
-    """Yield widths and amplitude of the spots at each condition."""
+    """Yield widths and amplitude of the spots in fits.nc at each condition."""
     fits = select_preferred_fits(ds)
-    is_good = (fits["status"] & store.UNTRUSTED) == 0
+    is_trusted = (fits["status"] & store.UNTRUSTED) == 0
     # The standard error is inflated by √χ²_red if the residuals exceed the noise, after the Particle Data Group
     # (Review of Particle Physics, Introduction 5.2.2).
-    inflation = (fits["chi2_reduced"].clip(min=1) ** 0.5).where((fits["status"] & NO_ERROR) == 0)
-    for variable, text in SPOT_VARIABLES.items():
-        stderr = (fits[f"{variable}_stderr"] * inflation).where(is_good)
-        yield from _average_repeats(fits[variable].where(is_good), QuantityName(SPOT, text), stderr)
+    inflation = (fits["chi2_reduced"].clip(min=1) ** 0.5).where((fits["status"] & ERROR_UNUSABLE) == 0)
+    for variable, meaning in SPOT_VARIABLES.items():
+        stderr = (fits[f"{variable}_stderr"] * inflation).where(is_trusted)
+        yield from _average_repeats(fits[variable].where(is_trusted), QuantityName(SPOT, meaning), stderr)
 
 
 def _read_metrics(ds: xr.Dataset) -> NamedMeasurements:
-    """Yield the quality metrics of measured frames at each condition."""
+    """Yield the quality metrics in metrics.nc of measured crops at each condition."""
     measured = ds.sel(source="measured", centring="light")
     metrics = {metric.name.replace("_", " "): measured[metric.name] for metric in PER_IMAGE}
     metrics["PSNR of measured against simulated"] = ds["psnr"].sel(PSNR)
-    for text, values in metrics.items():
-        yield from _average_repeats(values.where(np.isfinite(values)), QuantityName(METRICS, text))
+    for meaning, values in metrics.items():
+        yield from _average_repeats(values.where(np.isfinite(values)), QuantityName(METRICS, meaning))
 
 
 def _average_repeats(
     values: xr.DataArray, name: QuantityName, frame_stderr: xr.DataArray | None = None
 ) -> NamedMeasurements:
-    """Yield the mean over the repeats of each condition.
+    """Yield the mean over the repeats of each condition; NaN if no repeat is usable.
 
     Parameters
     ----------
     values : DataArray
-        Values of frames; NaN if unusable. One dimension is `repeat`.
+        Values of frames on the grid of conditions and `repeat`; NaN if unusable. Name and unit become those of the
+        numbers.
     name : QuantityName
         Name of the quantity, without conditions.
     frame_stderr : DataArray or None
-        Standard error of each frame's fit, used for conditions with one frame. Conditions with more frames have the
-        standard error of their scatter.
+        Standard error of each frame's fit, used for conditions with one usable frame. Conditions with more have the
+        standard error of their scatter. None if frames have no error of their own.
     """
     mean, count = values.mean("repeat"), values.notnull().sum("repeat").values.astype(int)
-    scatter = values.std("repeat", ddof=1).values / np.sqrt(count)
-    single = np.full(mean.shape, np.nan) if frame_stderr is None else frame_stderr.mean("repeat").values
+    scatter_stderr = values.std("repeat", ddof=1).values / np.sqrt(count)
+    # With one usable frame, this mean is the error of that frame.
+    fit_stderr = np.full(mean.shape, np.nan) if frame_stderr is None else frame_stderr.mean("repeat").values
     units, source, dims = str(values.attrs["units"]), str(values.name), [str(dim) for dim in mean.dims]
-    for at in np.ndindex(*mean.shape):
+    for index in np.ndindex(*mean.shape):
         conditions = tuple(
             Condition(dim, float(mean[dim].values[k]), str(values[dim].attrs["units"]))
-            for dim, k in zip(dims, at, strict=True)
+            for dim, k in zip(dims, index, strict=True)
             if dim in mean.coords
         )
-        if count[at] > 1:
-            error = f"scatter of {count[at]} repeats"
-            number = _measure(mean.values[at], scatter[at], units, error, source, float(count[at] - 1))
+        if count[index] > 1:
+            error = f"scatter of {count[index]} repeats"
+            number = _measure(mean.values[index], scatter_stderr[index], units, error, source, float(count[index] - 1))
         else:
-            number = _measure(mean.values[at], single[at], units, "the fit", source)
+            number = _measure(mean.values[index], fit_stderr[index], units, "the fit", source)
         yield name._replace(conditions=conditions), number
 
 
 def _read_verdict(verdict: dict[str, Any]) -> NamedMeasurements:
-    """Yield the effects, p1 and p2, the unexplained part and the learned light of a verdict."""
+    """Yield the parameters of named effects, p1 and p2, the unexplained part and the power of the learned light.
+
+    The learned light is a shape of the light that was fitted to the frames instead of the declared one.
+    """
     error = "fit to all frames"
     for effect in verdict["effects"]:
         for key, parameter in effect["parameters"].items():
-            name = QuantityName(FOUND, f"{_effect_text(effect)}: {key}")
+            name = QuantityName(VERDICT, f"{_effect_text(effect)}: {key}")
             yield name, _measure(parameter["value"], parameter["stderr"], parameter["unit"], error, "effects")
     # p1 and p2 depend on the other effects of the model, so that they are compared for equal sets of effects only.
-    others = ", ".join(sorted(_effect_text(effect) for effect in verdict["effects"]))
-    for key, shift in verdict["baseline_shift"].items() if others else ():
-        name = QuantityName(FOUND, f"{key} beside {others}")
+    effects = ", ".join(sorted(_effect_text(effect) for effect in verdict["effects"]))
+    for key, shift in verdict["baseline_shift"].items() if effects else ():
+        name = QuantityName(VERDICT, f"{key} beside {effects}")
         yield name, _measure(shift["after"], shift["stderr"], shift["unit"], error, "baseline_shift")
-    rest = verdict["unexplained"]
-    name = QuantityName(FOUND, "unexplained part of the peak")
-    yield name, _measure(rest["size"], rest["error"], "1", "noise", "unexplained")
+    unexplained = verdict["unexplained"]
+    name = QuantityName(VERDICT, "unexplained part of the peak")
+    yield name, _measure(unexplained["size"], unexplained["error"], "1", "noise", "unexplained")
     if light := verdict["light"]:
-        name = QuantityName(FOUND, "light that is not where it is declared, as a part of all")
+        name = QuantityName(VERDICT, "light that is not where it is declared, as a part of all")
         yield name, _measure(light["power"], light["stderr"], "1", error, "light")
 
 
 def _effect_text(effect: dict[str, Any]) -> str:
-    """Return an effect of a verdict with its form, since parameters of two forms have different meanings."""
+    """Return the name of an effect with its form in brackets, if it has several forms.
+
+    Parameters of two forms have different meanings and must not be compared.
+    """
     return f"{effect['name']} ({effect['form']})" if effect["form"] else str(effect["name"])
 
 
-# Readers of the netCDF results, in the order of `GROUPS`.
+# Readers of the netCDF results, by file name without suffix, in the order of `GROUPS`.
 READERS: dict[str, Callable[[xr.Dataset], NamedMeasurements]] = {
     "calibration": _read_calibration,
     "sensor": _read_sensor,
@@ -252,6 +276,6 @@ READERS: dict[str, Callable[[xr.Dataset], NamedMeasurements]] = {
 
 
 def list_files(folder: Path) -> list[Path]:
-    """Return the files of a results folder that are compared and exist."""
-    names = ("frames.nc", *(f"{name}.nc" for name in READERS), "verdict.json")
+    """Return the files of a results folder with numbers that are compared, as far as they exist."""
+    names = ("frames.nc", *(f"{stem}.nc" for stem in READERS), "verdict.json")
     return [folder / name for name in names if (folder / name).is_file()]

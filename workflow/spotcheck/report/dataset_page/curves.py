@@ -1,4 +1,9 @@
-"""Curves of the results, drawn by Plotly with values on hover."""
+"""Curves of the results, drawn by Plotly with values on hover.
+
+p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure. The frames lie on a
+grid of angles, exposures, repeats and declared conditions. Functions take the results (`files`) as netCDF contents by
+file name without suffix, without skipped ones.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -7,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.transfer_data import read_quantities
+from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.precision import summarize_precision
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.model.propagation import beam_propagation
@@ -14,13 +20,16 @@ from spotcheck.report.figures import series, style
 from spotcheck.report.figures.photon_transfer import fit_response_line
 from spotcheck.report.pages.plots import figure_json
 
-# Points of a law that is drawn as a line.
+# Number of points of a law that is drawn as a line.
 LINE_POINTS = 60
+# Colours of page.css by the source of a value.
 COLOURS = {"measured": "var(--measured)", "simulated": "var(--simulated)"}
 # Pictures of figures/ that a curve of a metric replaces; the others are named after their metric.
 METRIC_PICTURES = {"speckle_contrast": "fig09b", "maximum": "fig10a", "sum": "fig12"}
 # Names of the distributions of readings in bounds.nc.
 READING_LAWS = {"poisson_gauss": "shot and read noise", "poisson": "shot noise alone", "dn": "a Poisson law of DN"}
+# Ordinate of the nonlinearity: so many times the largest deviation in the fitted range, at least this [%].
+DEVIATION_MARGIN, LEAST_DEVIATION = 1.6, 0.1
 # Symbols and dashes distinguish series without colour.
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "x", "star", "pentagon")
 DASHES = ("solid", "dash", "dot", "dashdot")
@@ -32,14 +41,14 @@ class Curve(NamedTuple):
     """A curve of the report."""
 
     name: str  # id on the page
-    title: str
+    title: str  # heading of the curve
     figure: str  # JSON for Plotly
-    caption: str
+    caption: str  # one or more sentences
     picture: str = ""  # name of the picture of figures/ that it replaces; "" for none
 
 
 def draw_curves(files: Mapping[str, xr.Dataset]) -> list[Curve]:
-    """Return every curve for which there are results; `files` are results by name, without skipped ones."""
+    """Return every curve for which there are results, in the order of the page."""
     curves = [
         _draw_widths(files),
         *_draw_metrics(files),
@@ -50,13 +59,16 @@ def draw_curves(files: Mapping[str, xr.Dataset]) -> list[Curve]:
     return [curve for curve in curves if curve is not None]
 
 
-def _axis(title: str, **attributes: Any) -> dict[str, Any]:
-    """Return a Plotly axis with a title, in which the dollar signs of matplotlib are removed."""
+def _make_axis(title: str, **attributes: Any) -> dict[str, Any]:
+    """Return a Plotly axis with further attributes, and a title without the dollar signs of matplotlib."""
     return {"title": {"text": title.replace("$", "")}, **attributes}
 
 
-def _points(name: str, x: Any, y: Any, error: Any = None, source: str = "measured", **attributes: Any) -> Trace:
-    """Return a trace of points, with error bars if there are errors, in the colour of a source."""
+def _make_points(name: str, x: Any, y: Any, error: Any = None, source: str = "measured", **attributes: Any) -> Trace:
+    """Return a trace of points in the colour of a source: "measured" or "simulated".
+
+    `x`, `y` and `error` are of equal length; without errors there are no error bars. `attributes` are those of Plotly.
+    """
     bars = {} if error is None else {"error_y": {"type": "data", "array": np.asarray(error), "thickness": 1}}
     colour = COLOURS[source]
     marker = {"color": colour, "size": 7, "line": {"width": 1, "color": colour}} | attributes.pop("marker", {})
@@ -64,192 +76,206 @@ def _points(name: str, x: Any, y: Any, error: Any = None, source: str = "measure
     return trace | {"marker": marker} | bars | attributes
 
 
-def _line(name: str, x: Any, y: Any, colour: str = "var(--ink)", dash: str = "solid") -> Trace:
-    """Return a trace of a line."""
+def _make_line(name: str, x: Any, y: Any, colour: str = "var(--ink)", dash: str = "solid") -> Trace:
+    """Return a trace of a line; `colour` is one of CSS, `dash` one of Plotly."""
     trace = {"type": "scatter", "mode": "lines", "name": name, "x": np.asarray(x), "y": np.asarray(y)}
     return trace | {"line": {"color": colour, "dash": dash, "width": 1.5}}
 
 
 def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the fitted widths over exposure, with the law of p1 and p2."""
+    """Return the fitted widths over exposure, with the law of p1 and p2; None below two exposures."""
     if "fits" not in files or "exposure" not in files["fits"].coords or files["fits"].sizes["exposure"] < 2:
         return None
-    fits = files["fits"].sel(centring="light", fit=files["fits"].attrs["preferred"])
+    fits = select_preferred_fits(files["fits"])
     times, unit, label = series.axis_values(fits, "exposure")
     dims = tuple(str(dim) for dim in fits["sigma_mean"].dims)
-    across = series.choose_axes(fits, dims).abscissa
+    abscissa_elsewhere = series.choose_axes(fits, dims).abscissa
     # One series for each value of the dimension on the abscissa of other figures, such as the angle.
-    dim = across if across != "exposure" else None
+    dim = abscissa_elsewhere if abscissa_elsewhere != "exposure" else None
     data = []
     for k in range(fits.sizes[dim] if dim else 1):
-        selected = fits.isel({dim: k}) if dim else fits
-        values, errors = (
-            selected[name].transpose("exposure", ...).values.reshape(len(times), -1)
+        selected_fits = fits.isel({dim: k}) if dim else fits
+        # All frames of an exposure in one row: [exposure, frame] in px.
+        widths, errors = (
+            selected_fits[name].transpose("exposure", ...).values.reshape(len(times), -1)
             for name in ("sigma_mean", "sigma_mean_stderr")
         )
-        x = np.repeat(times, values.shape[1])
+        x = np.repeat(times, widths.shape[1])
         name = series.value_text(fits, dim, k) if dim else "measured"
         marker = {"symbol": SYMBOLS[k % len(SYMBOLS)]}
         hover = f"{name}: %{{y:.5~g}} ± %{{error_y.array:.2~g}} px at %{{x:.4~g}} {unit}<extra></extra>"
-        data.append(_points(name, x, values.ravel(), errors.ravel(), marker=marker, hovertemplate=hover))
+        data.append(_make_points(name, x, widths.ravel(), errors.ravel(), marker=marker, hovertemplate=hover))
     caption = "Widths σ̄ of all frames with their standard errors, over exposure."
     if "calibration" in files:
         calibration = files["calibration"]
         used = calibration.sel(estimator=calibration.attrs["used"])
         p1, p2 = float(used["p1_mean"]), float(used["p2_mean"])
         if np.isfinite([p1, p2]).all():
+            # Displayed units of time per second.
             per_second = times[0] / float(fits["exposure"][0])
             x = np.geomspace(times[0], times[-1], LINE_POINTS)
             law = beam_propagation(x / per_second, p1, p2) + float(calibration["laser_width"])
-            data.append(_line("p1 ln t + p2", x, law))
+            data.append(_make_line("p1 ln t + p2", x, law))
             caption += f" The line is the law with p1 = {p1:.3f} px and p2 = {p2:.2f} px, which the simulation uses."
-    layout = {"xaxis": _axis(label), "yaxis": _axis("width σ̄ / px")}
+    layout = {"xaxis": _make_axis(label), "yaxis": _make_axis("width σ̄ / px")}
     return Curve("curve-width", "Width over exposure", figure_json(data, layout), caption)
 
 
 def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
-    """Return each metric of the crops, measured and simulated: mean and standard deviation over repeats."""
+    """Return a curve for each metric of the crops, measured and simulated: mean and standard deviation of frames."""
     if "metrics" not in files:
         return []
     ds = files["metrics"].sel(centring="light")
     grid = tuple(str(dim) for dim in ds["psnr"].dims if dim not in ("registration", "data_range"))
-    design, curves = series.choose_axes(ds, grid), []
+    axes, curves = series.choose_axes(ds, grid), []
     for metric in PER_IMAGE:
-        points = {source: series.average_frames(ds[metric.name].sel(source=source), design) for source in COLOURS}
-        if any(values.frames.any() for values in points.values()):
+        points = {source: series.average_frames(ds[metric.name].sel(source=source), axes) for source in COLOURS}
+        if any(statistics.frames.any() for statistics in points.values()):
             unit, name = "" if metric.units == "1" else metric.units, metric.name.replace("_", " ")
             meaning = f"{metric.long_name[0].upper()}{metric.long_name[1:]}"
-            caption = f"{meaning}. {series.frames_text(points['measured'], design)}."
-            figure = _draw_metric(ds, design, points, style.axis_label(name, unit), unit)
+            caption = f"{meaning}. {series.frames_text(points['measured'], axes)}."
+            figure = _draw_metric(ds, axes, points, style.axis_label(name, unit), unit)
             picture = METRIC_PICTURES.get(metric.name, f"metric-{metric.name.replace('_', '-')}")
             curves.append(Curve(f"curve-{metric.name}", name.capitalize(), figure, caption, picture))
     return curves
 
 
 def _draw_metric(
-    ds: xr.Dataset, design: series.PlotAxes, points: Mapping[str, series.LineStatistics], title: str, unit: str
+    ds: xr.Dataset, axes: series.PlotAxes, points: Mapping[str, series.LineStatistics], title: str, unit: str
 ) -> str:
-    """Return a figure with a line for each source and each line of the design; `title` is that of the ordinate."""
-    x, _, label = series.axis_values(ds, design.abscissa)
+    """Return a figure with a line for each source and each value of the dimension `axes.lines`, as JSON for Plotly.
+
+    `points` are the statistics of the metric by source; `title` is that of the ordinate, whose unit is "" for a ratio.
+    """
+    x, _, label = series.axis_values(ds, axes.abscissa)
     data = []
-    for source, values in points.items():
+    for source, statistics in points.items():
         is_measured = source == "measured"
-        for k, name in enumerate(series.list_line_names(ds, design)):
-            words = f"{name} {source}".strip()
+        for k, line_name in enumerate(series.list_line_names(ds, axes)):
+            name = f"{line_name} {source}".strip()
             attributes = {
                 "marker": {"symbol": SYMBOLS[k % len(SYMBOLS)] + ("" if is_measured else "-open")},
-                "hovertemplate": f"{words}: %{{y:.5~g}} {unit}<extra></extra>",
+                "hovertemplate": f"{name}: %{{y:.5~g}} {unit}<extra></extra>",
                 "mode": "lines+markers",
                 "line": {"color": COLOURS[source], "width": 1, "dash": "solid" if is_measured else "dash"},
             }
-            error = values.sd[k] if np.isfinite(values.sd[k]).any() else None
-            data.append(_points(words, x, values.mean[k], error, source, **attributes))
-    return figure_json(data, {"xaxis": _axis(label), "yaxis": _axis(title)})
+            sd = statistics.sd[k] if np.isfinite(statistics.sd[k]).any() else None
+            data.append(_make_points(name, x, statistics.mean[k], sd, source, **attributes))
+    return figure_json(data, {"xaxis": _make_axis(label), "yaxis": _make_axis(title)})
 
 
 def _draw_precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the Cramér–Rao bound on the width of one frame over exposure, with the scatter over repeats."""
+    """Return the Cramér–Rao bound on the width of one frame over exposure, with the scatter over repeats.
+
+    Returns None without precision.nc, or if it has no bound over exposure.
+    """
     ds = files.get("precision")
     if ds is None or "fine_exposure" not in ds:
         return None
     times, unit, _ = series.axis_values(ds, "fine_exposure")
+    # Displayed units of time per second.
     per_second = times[0] / float(ds["fine_exposure"][0])
-    data = [_line("bound of one frame", times, ds["sigma_bound_over_fine_exposure"].values)]
+    data = [_make_line("bound of one frame", times, ds["sigma_bound_over_fine_exposure"].values)]
     for source, symbol in (("measured", "circle"), ("simulated", "diamond-open")):
         scatter = ds[f"scatter_{source}"].sel(parameter="sigma_mean")
         if "exposure" in scatter.coords and np.isfinite(scatter).any():
+            # All conditions of an exposure in one row: [exposure, condition] in px.
             values = scatter.transpose("exposure", ...).values.reshape(scatter.sizes["exposure"], -1)
             x = np.repeat(scatter["exposure"].values * per_second, values.shape[1])
             attributes = {
                 "marker": {"symbol": symbol},
                 "hovertemplate": f"{source}: %{{y:.3~g}} px at %{{x:.4~g}} {unit}<extra></extra>",
             }
-            data.append(_points(f"scatter, {source}", x, values.ravel(), None, source, **attributes))
+            data.append(_make_points(f"scatter, {source}", x, values.ravel(), None, source, **attributes))
     layout = {
-        "xaxis": _axis(style.axis_label(style.NAMES["exposure"], unit), type="log", dtick=1),
-        "yaxis": _axis("standard deviation of σ̄ / px", type="log"),
+        "xaxis": _make_axis(style.axis_label(style.NAMES["exposure"], unit), type="log", dtick=1),
+        "yaxis": _make_axis("standard deviation of σ̄ / px", type="log"),
     }
-    return Curve(
-        "curve-precision", "Precision of a frame", figure_json(data, layout), summarize_precision(ds), "precision"
-    )
+    caption = summarize_precision(ds)
+    return Curve("curve-precision", "Precision of a frame", figure_json(data, layout), caption, "precision")
 
 
 def _draw_bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the Cramér–Rao bound on the width over photons, for each distribution of readings."""
+    """Return the Cramér–Rao bound on the width over photons, for each distribution of readings; None if unknown."""
     ds = files.get("bounds")
     if ds is None or "var_sigma_over_photons" not in ds:
         return None
-    laws = {str(law): READING_LAWS.get(str(law), str(law)) for law in ds["law"].values}
+    names_by_law = {str(law): READING_LAWS.get(str(law), str(law)) for law in ds["law"].values}
     bound = ds["var_sigma_over_photons"] ** 0.5
     data = [
-        _line(name, ds["photons"].values, bound.sel(law=law).values, dash=DASHES[k % len(DASHES)])
-        for k, (law, name) in enumerate(laws.items())
+        _make_line(name, ds["photons"].values, bound.sel(law=law).values, dash=DASHES[k % len(DASHES)])
+        for k, (law, name) in enumerate(names_by_law.items())
     ]
-    meanings = "; ".join(f"{name}: {ds.attrs[f'law_{law}']}" for law, name in laws.items())
+    meanings = "; ".join(f"{name}: {ds.attrs[f'law_{law}']}" for law, name in names_by_law.items())
     layout = {
-        "xaxis": _axis("photons on the brightest pixel", type="log"),
-        "yaxis": _axis("bound on the sd of σ_g / px", type="log"),
+        "xaxis": _make_axis("photons on the brightest pixel", type="log"),
+        "yaxis": _make_axis("bound on the sd of σ_g / px", type="log"),
     }
     caption = f"Cramér–Rao bound on the standard deviation of the width, over the light; {meanings}."
     return Curve("curve-bounds", "Bounds over photons", figure_json(data, layout), caption)
 
 
 def _draw_condition_gaps(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the gap of every condition, before and after the added effects."""
+    """Return the gap of each condition, before and after the effects of the verdict were added to the model.
+
+    The gap is the rms of block residuals over their noise [1]. Returns None if it was not measured.
+    """
     ds = files.get("discrepancy")
     if ds is None or "gap_before" not in ds:
         return None
     dims = [str(dim) for dim in ds["gap_before"].dims]
-    names = [
-        ", ".join(filter(None, (series.value_text(ds, dim, k) for dim, k in zip(dims, at, strict=True))))
-        for at in np.ndindex(*(ds.sizes[dim] for dim in dims))
-    ]
+    indices = np.ndindex(*(ds.sizes[dim] for dim in dims))
+    names = [series.condition_text(ds, dict(zip(dims, index, strict=True))) for index in indices]
     data = []
     for stage, source, symbol in (("before", "simulated", "circle-open"), ("after", "measured", "circle")):
         if f"gap_{stage}" in ds:
             rms = np.sqrt(ds[f"gap_{stage}"].values.ravel())
             hover = f"{stage}: %{{y:.4~g}} at %{{x}}<extra></extra>"
-            data.append(_points(stage, names, rms, None, source, marker={"symbol": symbol}, hovertemplate=hover))
+            data.append(_make_points(stage, names, rms, None, source, marker={"symbol": symbol}, hovertemplate=hover))
     floor = np.full(len(names), float(ds["gap_floor"]) ** 0.5)
-    data.append(_line("noise floor", names, floor, dash="dot"))
+    data.append(_make_line("noise floor", names, floor, dash="dot"))
     caption = (
         f"Rms of block residuals over their noise, for each condition, on {ds.attrs['gap_on']}. The gap at the top of"
         " the page is that of blocks of 8 × 8 px near the spot, on held-out data."
     )
     layout = {
-        "xaxis": _axis("", tickangle=-45, type="category"),
-        "yaxis": _axis("rms of block residuals / σ of their noise", type="log"),
+        "xaxis": _make_axis("", tickangle=-45, type="category"),
+        "yaxis": _make_axis("rms of block residuals / σ of their noise", type="log"),
     }
     return Curve("curve-gap", "Gap by condition", figure_json(data, layout), caption, "missing-gap")
 
 
 def draw_levels(transfer: xr.Dataset | None) -> Curve | None:
-    """Return the variance and the nonlinearity of the flats over the signal; None if transfer.nc has no levels."""
+    """Return the variance and the nonlinearity of the levels of the flats over the signal.
+
+    Returns None if transfer.nc is missing or has no levels.
+    """
     if transfer is None or "signal" not in transfer:
         return None
     signal, hover = transfer["signal"].values, "signal %{x:.5~g} DN: %{y:.4~g} "
-    excess, error = transfer["excess"].values, transfer["excess_stderr"].values
-    data = [_points("variance", signal, excess, error, hovertemplate=f"{hover}DN²<extra></extra>")]
+    variance, stderr = transfer["excess"].values, transfer["excess_stderr"].values
+    data = [_make_points("variance", signal, variance, stderr, hovertemplate=f"{hover}DN²<extra></extra>")]
     gain, is_fitted = read_quantities(transfer)["gain"].value, transfer["fitted"].values > 0
     if np.isfinite(gain) and is_fitted.any():
         ends = np.array([0.0, signal[is_fitted].max()])
-        data.append(_line("straight line of the gain K", ends, gain * ends, "var(--simulated)", "dash"))
+        data.append(_make_line("straight line of the gain K", ends, gain * ends, "var(--simulated)", "dash"))
     response = fit_response_line(transfer)
+    # Relative deviation of the signal from the line [%].
     deviation = 100 * (signal / response.predict(response.light) - 1)
-    error = 100 * transfer["flat_mean_stderr"].values / np.abs(signal)
-    limit = 1.6 * float(np.nanmax(np.abs(deviation[response.is_used]), initial=0.1))
+    stderr = 100 * transfer["flat_mean_stderr"].values / np.abs(signal)
+    limit = DEVIATION_MARGIN * float(np.nanmax(np.abs(deviation[response.is_used]), initial=LEAST_DEVIATION))
     data += [
         trace | {"xaxis": "x2", "yaxis": "y2", "showlegend": False}
         for trace in (
-            _points("deviation", signal, deviation, error, hovertemplate=f"{hover}%<extra></extra>"),
-            _line("straight line", [0.0, float(np.nanmax(signal))], [0.0, 0.0], "var(--simulated)", "dash"),
+            _make_points("deviation", signal, deviation, stderr, hovertemplate=f"{hover}%<extra></extra>"),
+            _make_line("straight line", [0.0, float(np.nanmax(signal))], [0.0, 0.0], "var(--simulated)", "dash"),
         )
     ]
     layout = {
-        "xaxis": _axis("signal over dark / DN", domain=[0, 0.46]),
-        "yaxis": _axis("variance over dark / DN²"),
-        "xaxis2": _axis("signal over dark / DN", domain=[0.56, 1], anchor="y2"),
-        "yaxis2": _axis("deviation from a line / %", anchor="x2", range=[-limit, limit]),
+        "xaxis": _make_axis("signal over dark / DN", domain=[0, 0.46]),
+        "yaxis": _make_axis("variance over dark / DN²"),
+        "xaxis2": _make_axis("signal over dark / DN", domain=[0.56, 1], anchor="y2"),
+        "yaxis2": _make_axis("deviation from a line / %", anchor="x2", range=[-limit, limit]),
     }
     caption = (
         "Levels of the flats. Left: variance over signal; its slope is the gain in the linear range of the sensor."

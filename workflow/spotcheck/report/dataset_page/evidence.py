@@ -1,4 +1,9 @@
-"""Tables of the verdict: effects with their evidence, upper limits, and the data sheet against the frames."""
+"""Tables of the verdict: effects with their evidence, upper limits, and the data sheet against the frames.
+
+The verdict names the effects that the declared model of the frames lacks. The gap is the mean square of block residuals
+over that of their noise [1], on held-out frames. A cell is a part of the data in which the strength of an effect is
+fitted alone, to test its consistency.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,11 +17,11 @@ from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.report.dataset_page.summary import number_keys
 from spotcheck.report.pages.citations import Citations
 
-Row = dict[str, Any]
+Row = dict[str, Any]  # row of a table of evidence.html or sheet.html
 
 
 def tabulate_evidence(verdict: dict[str, Any], citations: Citations) -> dict[str, Any]:
-    """Return the contents of evidence.html.
+    """Return the variable `evidence` of evidence.html: the verdict, and its numbers as marked text.
 
     Parameters
     ----------
@@ -25,41 +30,41 @@ def tabulate_evidence(verdict: dict[str, Any], citations: Citations) -> dict[str
     citations : Citations
         Marks numbers with their sources.
     """
-    # A run may exclude the learned shape from its vocabulary, but not from its verdict.
-    known = {**built_in(), **vocabulary()}
+    # The learned light shape may be in a verdict even if a run excludes it from its vocabulary.
+    known_effects = {**built_in(), **vocabulary()}
     gap, keys = verdict["gap"], number_keys(verdict)
-    strongest_first = sorted(enumerate(verdict["where"]), key=lambda place: -abs(place[1]["z"]))
+    # The key of a place has its index in the verdict.
+    strongest_first = sorted(enumerate(verdict["where"]), key=lambda item: -abs(item[1]["z"]))
     limited_first = sorted(verdict["limits"], key=lambda limit: not limit["words"])
-    gap_numbers = [
-        citations.cite(over_noise_text(gap[name]), f"verdict.gap.{name}") for name in ("before", "after", "noise_floor")
-    ]
     return {
         "verdict": verdict,
         "sentence": [citations.cite_in(line, keys) for line in verdict["sentence"].splitlines()],
-        "effects": [_effect_row(effect, known[effect["name"]], citations) for effect in verdict["effects"]],
-        "gap": gap_numbers,
+        "effects": [_effect_row(effect, known_effects[effect["name"]], citations) for effect in verdict["effects"]],
+        "gap": [
+            citations.cite(over_noise_text(gap[name]), f"verdict.gap.{name}")
+            for name in ("before", "after", "noise_floor")
+        ],
         "closed": _share_text(gap["closed"]),
         "shifts": _tabulate_shifts(verdict, citations) if verdict["effects"] else [],
         "places": [
             (place["words"], citations.cite(number_text(place["z"]), f"verdict.where.{k}.z"))
             for k, place in strongest_first
         ],
-        "limits": [_limit_row(limit, known.get(limit["effect"]), citations) for limit in limited_first],
+        "limits": [_limit_row(limit, known_effects.get(limit["effect"]), citations) for limit in limited_first],
         "advice": [(advice, condition_text(advice["condition"])) for advice in verdict["advice"]],
     }
 
 
 def _effect_row(entry: Mapping[str, Any], effect: Effect, citations: Citations) -> Row:
-    """Return the row of an effect that the verdict names; `entry` is its part of verdict.json."""
+    """Return the row of an effect that the verdict names; `entry` is its entry in `effects` of verdict.json."""
     key, evidence = f"verdict.effects.{entry['name']}", entry["evidence"]
-    values = [
-        (name, citations.cite(quantity_text(value["value"], value["stderr"], value["unit"]), f"{key}.{name}"))
-        for name, value in entry["parameters"].items()
-    ]
     return {
         "name": entry["name"],
         "sentence": effect.sentence,
-        "values": values,
+        "values": [
+            (name, citations.cite(quantity_text(value["value"], value["stderr"], value["unit"]), f"{key}.{name}"))
+            for name, value in entry["parameters"].items()
+        ],
         "vanishes_at": f"{effect.vanishes_at:g}" if np.isfinite(effect.vanishes_at) else "",
         "gain": citations.cite(number_text(evidence["gain"]), f"{key}.evidence.gain"),
         "z": citations.cite(number_text(evidence["z"]), f"{key}.evidence.z"),
@@ -71,26 +76,35 @@ def _effect_row(entry: Mapping[str, Any], effect: Effect, citations: Citations) 
 
 
 def _share_text(share: float | None) -> str:
-    """Return a closed part of the gap, which noise may raise above 1, in per cent; a dash if unknown."""
+    """Return the closed share of the gap in per cent; a dash if it is unknown (None).
+
+    Noise may raise the share above 1; it is then written as 100 %.
+    """
     return "–" if share is None else percent_text(min(share, 1.0))
 
 
 def _tabulate_shifts(verdict: Mapping[str, Any], citations: Citations) -> list[tuple[str, str, str]]:
-    """Return p1 and p2 before and after the effects were added."""
+    """Return (name, text before, text after) of p1 and p2, as fitted without and with the added effects.
+
+    p1 and p2 are the slope and offset of the spot's width over the logarithm of the exposure. Unknown ones are omitted.
+    """
     rows: list[tuple[str, str, str]] = []
     for name, shift in verdict["baseline_shift"].items():
         if shift["before"] is not None:
             key, error = f"verdict.baseline_shift.{name}", shift["stderr"]
-            # Digits as the error of the later value has them.
-            before = rounded_text(shift["before"], error) if error else number_text(shift["before"], 4)
+            # Only the value after has an error; the value before gets the same decimals.
+            before = rounded_text(shift["before"], error) if error else number_text(shift["before"], digits=4)
             after = quantity_text(shift["after"], error, shift["unit"])
-            before_text = citations.cite(f"{before} {shift['unit']}", f"{key}.before")
-            rows.append((name, before_text, citations.cite(after, f"{key}.after")))
+            marked_before = citations.cite(f"{before} {shift['unit']}", f"{key}.before")
+            rows.append((name, marked_before, citations.cite(after, f"{key}.after")))
     return rows
 
 
 def _limit_row(limit: Mapping[str, Any], effect: Effect | None, citations: Citations) -> Row:
-    """Return the row of an effect that the verdict does not name."""
+    """Return the row of an effect that the verdict does not name, with the 95 % limit on its strength.
+
+    `limit` is its entry in `limits` of verdict.json; `effect` is None if this run does not know the effect.
+    """
     key = f"verdict.limits.{limit['effect']}.{limit['parameter']}"
     ends = [end for end in ("low", "high") if limit[end] is not None]
     keys = {limit_text(limit[end], limit["unit"], effect): f"{key}.{end}" for end in ends}
@@ -104,7 +118,10 @@ def _limit_row(limit: Mapping[str, Any], effect: Effect | None, citations: Citat
 
 
 def tabulate_data_sheet(verdict: dict[str, Any] | None, citations: Citations) -> dict[str, Any] | None:
-    """Return the numbers of the data sheet beside those of a fit to sheet and frames; None if none was fitted."""
+    """Return the variable `sheet` of sheet.html: stated numbers beside those of a fit to data sheet and frames.
+
+    Returns None without a verdict, or if no stated number was fitted. A shift is (fitted − stated) / stated error.
+    """
     if not verdict or not verdict["sheet"]:
         return None
     rows = []

@@ -1,7 +1,9 @@
 """Images of frames as text on the page: 16-bit integers, deflated, in base64. frames.js unpacks a frame to show it.
 
-Measured readings are stored as they are. The mean image of a model is smooth, and is stored as second differences along
-its rows. Low and high bytes are stored separately, which deflates better.
+A layer is one image of a frame: the measured one, or the mean image of a model. Measured readings are stored as they
+are. The mean image of a model is smooth, and is stored as second differences along its rows, which deflates better. Low
+and high bytes are stored separately for the same reason. Integers are differenced and added modulo 2¹⁶, which loses
+nothing.
 """
 
 import base64
@@ -12,23 +14,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Integer of a pixel that was not measured.
+# Integer of a pixel that was not measured; also the largest integer.
 MISSING = 65_535
-# Smallest step of mean images [DN]: its rounding error, step/√12, is far below the noise of any converter.
+# Smallest step of mean images [DN]: the rounding error, step/√12, is far below the noise of any converter.
 FINEST_DN = 0.25
-COMPRESSION_LEVEL = 9
+COMPRESSION_LEVEL = 9  # the smallest output of zlib
 # Size of a page [byte]: 15 MB up to 96 frames, rising linearly to 40 MB for 1,000.
 FEW_FRAMES, SMALL_PAGE, BYTES_PER_FRAME, LARGE_PAGE = 96, 15_000_000, 27_650, 40_000_000
-# Part of it for everything but the frames [byte]: 4.8 MB of Plotly, pictures and tables.
+# Part of that size for everything but the frames [byte]: 4.8 MB of Plotly, pictures and tables.
 RESERVED_BYTES = 8_000_000
 
 
 class Layer(NamedTuple):
     """An image of a frame: the measured one or that of a model."""
 
-    readings: np.ndarray  # [row, column] DN, NaN where not measured
+    readings: np.ndarray  # [row, column] in DN; NaN where not measured
     step: float  # reading of the integer 1 [DN]
-    is_smooth: bool  # stored as second differences along its rows
+    is_smooth: bool  # whether it is stored as second differences along its rows
     base: str = ""  # name of the layer of the same step that is subtracted first; "" for none
 
 
@@ -38,7 +40,7 @@ def choose_step(full_scale: float) -> float:
 
 
 def frames_budget(count: int) -> int:
-    """Return the size that a number of frames may have on a page together [byte]."""
+    """Return the largest size of all packed frames of a page together [byte], for a number of frames."""
     return min(SMALL_PAGE + BYTES_PER_FRAME * max(count - FEW_FRAMES, 0), LARGE_PAGE) - RESERVED_BYTES
 
 
@@ -48,37 +50,45 @@ def choose_block(frame_size: Callable[[int], float], count: int) -> int:
     Parameters
     ----------
     frame_size : callable
-        Size of a packed frame [byte] as a function of the side of the blocks [px].
+        Mean size of a packed frame [byte] as a function of the side of the blocks [px].
     count : int
         Number of frames.
     """
-    return next(block for block in itertools.count(1) if count * frame_size(block) <= frames_budget(count))
+    return next(side for side in itertools.count(1) if count * frame_size(side) <= frames_budget(count))
 
 
 def block_means(image: np.ndarray, block: int) -> np.ndarray:
-    """Return the means of square blocks of pixels [row, column]; incomplete blocks at the far edges are omitted.
+    """Return the means of square blocks of pixels [row, column]; `block` is their side [px].
 
-    A block with a NaN is NaN.
+    Incomplete blocks at the last rows and columns are omitted. A block with a NaN is NaN.
     """
     rows, columns = (size // block for size in image.shape)
     return image[: rows * block, : columns * block].reshape(rows, block, columns, block).mean(axis=(1, 3))
 
 
 def pack_layers(layers: Mapping[str, Layer]) -> str:
-    """Return the layers of one frame as text, in their order; the `base` of a layer must be among them."""
+    """Return the layers of one frame, given by name, as base64 text.
+
+    The layers follow each other in the order of the mapping, which must include the `base` of each layer.
+    """
     integers = {name: _round_readings(layer.readings, layer.step) for name, layer in layers.items()}
-    parts = []
+    chunks = []
     for name, layer in layers.items():
+        # 16-bit differences may wrap around; frames.js adds them modulo 2¹⁶ as well.
         values = integers[name] - integers[layer.base] if layer.base else integers[name]
         if layer.is_smooth:
+            # Two zeros before each row make the second difference invertible and keep the number of columns.
             values = np.diff(values, n=2, axis=1, prepend=np.zeros((len(values), 2), np.uint16))
-        parts += [(values & 0xFF).astype(np.uint8).tobytes(), (values >> 8).astype(np.uint8).tobytes()]
-    return base64.b64encode(zlib.compress(b"".join(parts), COMPRESSION_LEVEL)).decode()
+        low_bytes, high_bytes = (values & 0xFF).astype(np.uint8), (values >> 8).astype(np.uint8)
+        chunks += [low_bytes.tobytes(), high_bytes.tobytes()]
+    return base64.b64encode(zlib.compress(b"".join(chunks), COMPRESSION_LEVEL)).decode()
 
 
 def _round_readings(readings: np.ndarray, step: float) -> np.ndarray:
-    """Return readings [DN] in units of a step, as 16-bit integers; `MISSING` for NaN."""
-    gaps = np.isnan(readings)
-    values = np.clip(np.rint(np.where(gaps, 0.0, readings) / step), 0, MISSING - gaps.any()).astype(np.uint16)
-    values[gaps] = MISSING
-    return values
+    """Return readings [DN] in units of a step [DN], as 16-bit integers; `MISSING` for NaN."""
+    is_missing = np.isnan(readings)
+    # If readings are missing, no other reading may become the integer `MISSING`.
+    highest = MISSING - is_missing.any()
+    integers = np.clip(np.rint(np.where(is_missing, 0.0, readings) / step), 0, highest).astype(np.uint16)
+    integers[is_missing] = MISSING
+    return integers

@@ -1,4 +1,11 @@
-"""The frames of the report: packed images with the data of the viewer's controls, and the table of frames."""
+"""The frames of the report: packed images with the data of the viewer's controls, and the table of frames.
+
+Models predict the mean image of a frame: the declared model, the extended model with the effects that the verdict adds,
+and the simulation by p1 and p2, the law of the spot's width over exposure. A layer is one image of a frame on the page:
+the measured one, or that of a model. The residual is measured minus model; `left` is its rms over the noise [1], `rms`
+is its rms [DN]. Images may be reduced to means of blocks of pixels; `block` is the side of a block [px], 1 without
+reduction. `full_scale` is the largest reading of the sensor [DN]. frames.js draws the frames.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +22,10 @@ from spotcheck.io import store
 from spotcheck.io.number_text import number_text
 from spotcheck.report.dataset_page.frame_packing import Layer, block_means, choose_block, choose_step, pack_layers
 from spotcheck.report.dataset_page.frame_remarks import (
+    compute_median_factors,
     describe_deviations,
     describe_flags,
     describe_residual,
-    median_factors,
     read_deviations,
 )
 from spotcheck.report.figures import series
@@ -26,23 +33,26 @@ from spotcheck.report.figures.style import axis_name
 from spotcheck.report.views import MODELS
 from spotcheck.sensor.model import NoiseLine
 
-# Frames that are packed to estimate the size of all.
-SAMPLE = 8
+# Number of frames that are packed to estimate the size of all.
+SAMPLE_FRAMES = 8
+# Names of the layers on the page.
 NAMES = {
     "measured": "measured",
     "declared": "declared model",
     "extended": "extended model",
     "simulated": "simulation by p1 and p2",
 }
-# Prefix of the layers of the extended model without one effect; frames.js knows it too.
+# Prefix of the layers of the extended model without one effect; frames.js has the same text.
 WITHOUT = "without "
 NO_REMARK = "no remark"
-# Frames are ranked by the first of these models that exists.
+# Frames are ranked by their residual from the first of these models that exists.
 RANKING_MODELS = ("extended", "declared", "simulated")
 # Order of the models in the picture of the first screen.
 PICTURE_MODELS = ("declared", "extended", "simulated")
+# Larger than any residual: frames without a declared model come after all others.
+WITHOUT_DECLARED = 1e12
 
-Place = dict[str, int]  # index of a frame by dimension of the grid
+Place = dict[str, int]  # index of a frame by dimension of the grid (angle, exposure, repeat, …)
 Images = dict[str, np.ndarray]  # images of a frame [row, column] in DN by layer
 
 
@@ -59,12 +69,12 @@ class FrameFiles(NamedTuple):
 class FrameSection:
     """The frames for the page."""
 
-    index: dict[str, Any]  # data of frames.js
+    index: dict[str, Any]  # data of frames.js, as `_build_viewer_index` returns them
     packed: list[str]  # images of each frame, as `pack_layers` returns them
     rows: list[dict[str, Any]]  # rows of the table, the largest residual first
-    ranked_by: str  # model by which the rows are ordered
-    ranked_in: str  # residual by which they are ordered: "left" over the noise, or "rms" in DN if the noise is unknown
-    remark: str  # how images were reduced; "" if they were not
+    ranked_by: str  # model from which the residuals that order the rows are
+    ranked_in: str  # residual that orders the rows: "left" over the noise, or "rms" in DN if the noise is unknown
+    remark: str  # sentence on the reduction of images to means of blocks; "" if there is none
 
 
 def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
@@ -72,21 +82,21 @@ def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
     cells, dims = list(dataset.cells()), store.grid_dims(files.crops)
     places: list[Place] = [dict(zip(dims, index, strict=True)) for index, _ in cells]
     full_scale = float(files.frames["full_scale"])
-    block = _choose_block(files, places, full_scale)
-    factors = median_factors(files.views)
+    block = _estimate_block(files, places, full_scale)
+    median_factors = compute_median_factors(files.views)
     packed: list[str] = []
-    frames: list[dict[str, Any]] = []
+    frames: list[dict[str, Any]] = []  # data of each frame for frames.js
     rows: list[dict[str, Any]] = []
     for place, (_, frame) in zip(places, cells, strict=True):
         images = _read_images(files, place)
         layers = _make_layers(images, full_scale, block)
         packed.append(pack_layers(layers))
-        shown = _describe_frame(files, place, frame, layers)
-        record = _frame_record(files.frames, frame)
-        remarks = "; ".join(_list_remarks(files, place, record, images, shown["spot"], factors))
-        frames.append(shown | {"remarks": remarks})
-        rows.append(_tabulate_frame(shown, remarks, len(rows), int(record["maximum"])))
-    index = _index_frames(files, dims, frames, block, full_scale)
+        frame_data = _describe_frame(files, place, frame, layers)
+        record = _find_record(files.frames, frame)
+        remarks = "; ".join(_list_remarks(files, place, record, images, frame_data["spot"], median_factors))
+        frames.append(frame_data | {"remarks": remarks})
+        rows.append(_tabulate_frame(frame_data, remarks, len(rows), int(record["maximum"])))
+    index = _build_viewer_index(files, dims, frames, block, full_scale)
     ranked_in = "rms" if all(row["left"] is None for row in rows) else "left"
     # Frames without a residual, which no model could use, come last.
     rows.sort(key=lambda row: -np.inf if row[ranked_in] is None else row[ranked_in], reverse=True)
@@ -94,19 +104,23 @@ def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
     return FrameSection(index, packed, rows, _ranking_model(files), ranked_in, remark)
 
 
-def _choose_block(files: FrameFiles, places: Sequence[Place], full_scale: float) -> int:
-    """Return the side of the blocks of pixels [px], estimated from a sample of frames."""
-    chosen = np.unique(np.linspace(0, len(places) - 1, SAMPLE).astype(int))
-    sample = [_read_images(files, places[k]) for k in chosen]
+def _estimate_block(files: FrameFiles, places: Sequence[Place], full_scale: float) -> int:
+    """Return the side of the blocks [px] with which all frames fit on the page, estimated from a sample of frames."""
+    sample_indices = np.unique(np.linspace(0, len(places) - 1, SAMPLE_FRAMES).astype(int))
+    sample = [_read_images(files, places[k]) for k in sample_indices]
 
     def mean_size(block: int) -> float:
+        """Return the mean size of a packed frame [byte] with blocks of a side [px]."""
         return float(np.mean([len(pack_layers(_make_layers(images, full_scale, block))) for images in sample]))
 
     return choose_block(mean_size, len(places))
 
 
 def _read_images(files: FrameFiles, place: Place) -> Images:
-    """Return the images of a frame: measured, by each model, and by the extended model without each of its effects."""
+    """Return the images of a frame: measured, by each model, and by the extended model without each of its effects.
+
+    Images without any finite reading are omitted.
+    """
     views = files.views.isel(place)
     images = {"measured": files.crops["image"].sel(centring="light").isel(place).values.astype(float)}
     images |= {name: views[name].values for name in MODELS if name in views}
@@ -117,7 +131,7 @@ def _read_images(files: FrameFiles, place: Place) -> Images:
 
 
 def _make_layers(images: Images, full_scale: float, block: int) -> dict[str, Layer]:
-    """Return the images of a frame as layers to be packed, reduced to means of blocks [px]."""
+    """Return the images of a frame as layers to be packed, by name, reduced to means of blocks."""
     return {
         name: Layer(
             readings=block_means(image, block),
@@ -130,21 +144,26 @@ def _make_layers(images: Images, full_scale: float, block: int) -> dict[str, Lay
 
 
 def _layer_step(name: str, full_scale: float, block: int) -> float:
-    """Return the step of a layer [DN]; measured readings are integers unless they are averaged."""
+    """Return the reading of the integer 1 [DN] in a layer; measured readings are integers unless they are averaged."""
     return 1.0 if name == "measured" and block == 1 else choose_step(full_scale)
 
 
 def _describe_frame(files: FrameFiles, place: Place, frame: Frame, layers: Mapping[str, Layer]) -> dict[str, Any]:
-    """Return the data of a frame for frames.js; the spot's centre and width are in px of the crop."""
+    """Return the data of a frame for frames.js.
+
+    `corner` is the crop's first column and row [px of the sensor]. `spot` is the fitted centre (x, y) and `sigma` the
+    fitted width [px of the crop]. `rms` and `left` are residuals by model.
+    """
     crop, fit = files.crops.sel(centring="light").isel(place), select_preferred_fits(files.fits).isel(place)
     left, top = int(crop["left"]), int(crop["top"])
     centre = np.array([float(fit["x_centre"]) - left, float(fit["y_centre"]) - top])
     if not np.isfinite(centre).all():
+        # Without a fitted spot the viewer shows the middle of the crop.
         centre[:] = (crop.sizes["x"] - 1) / 2
     models = [name for name in MODELS if name in layers]
     return {
         "at": list(place.values()),
-        "label": cell_label(files.crops, place) or frame.label,
+        "label": series.condition_text(files.crops, place) or frame.label,
         "file": frame.label,
         "layers": list(layers),
         "has_gaps": "measured" in layers and bool(np.isnan(layers["measured"].readings).any()),
@@ -156,13 +175,8 @@ def _describe_frame(files: FrameFiles, place: Place, frame: Frame, layers: Mappi
     }
 
 
-def cell_label(ds: xr.Dataset, place: Place) -> str:
-    """Return the conditions of a cell of the grid, such as `90°, 900 µs, repeat 3`; "" if none was recorded."""
-    return ", ".join(filter(None, (series.value_text(ds, dim, k) for dim, k in place.items())))
-
-
-def _frame_record(frames: xr.Dataset, frame: Frame) -> xr.Dataset:
-    """Return the record of a frame in frames.nc."""
+def _find_record(frames: xr.Dataset, frame: Frame) -> xr.Dataset:
+    """Return the row of frames.nc about a frame, without the dimension `frame`."""
     is_same = (frames["file"] == frame.file) & (frames["page"] == (frame.page or 0))
     return frames.isel(frame=int(np.argmax(is_same.values)))
 
@@ -172,14 +186,19 @@ def _list_remarks(
     place: Place,
     record: xr.Dataset,
     images: Images,
-    centre: tuple[float, float],
-    factors: Mapping[str, float],
+    centre: Sequence[float],
+    median_factors: Mapping[str, float],
 ) -> list[str]:
-    """Return remarks on a frame: flags, deviations from the other frames, and the largest residual."""
+    """Return remarks on a frame: flags, deviations from the other frames, and the largest residual.
+
+    `record` is its row of frames.nc, `centre` that of its spot (x, y) [px of the crop]. `median_factors` are as
+    `compute_median_factors` returns them.
+    """
     fit, views = select_preferred_fits(files.fits).isel(place), files.views
-    left_out = str(fit["left_out"].values) if "left_out" in fit else ""
-    remarks = describe_flags(int(fit["status"]), left_out, int(record["at_full_scale"]))
-    remarks += describe_deviations(read_deviations(views, place, factors))
+    # Pixels that the fit left out, in words.
+    left_out_pixels = str(fit["left_out"].values) if "left_out" in fit else ""
+    remarks = describe_flags(int(fit["status"]), left_out_pixels, int(record["at_full_scale"]))
+    remarks += describe_deviations(read_deviations(views, place, median_factors))
     model = next((name for name in RANKING_MODELS if name in images), None)
     if model is not None and "measured" in images:
         noise = NoiseLine(float(views["noise_at_zero"]), float(views["noise_slope"]))
@@ -188,34 +207,42 @@ def _list_remarks(
     return list(filter(None, remarks))
 
 
-def _tabulate_frame(shown: Mapping[str, Any], remarks: str, number: int, maximum: int) -> dict[str, Any]:
-    """Return a row of the table of frames; `number` is that of the frame in frames.js."""
-    left, rms = shown["left"], shown["rms"]
-    numbers = {
+def _tabulate_frame(frame_data: Mapping[str, Any], remarks: str, number: int, maximum: int) -> dict[str, Any]:
+    """Return a row of the table of frames, from the data that `_describe_frame` returns.
+
+    `number` is the index of the frame in frames.js, `maximum` its highest reading [DN]. The residuals are `left` [1]
+    and `rms` [DN] of the first of `RANKING_MODELS` that has one, and `before` [1] of the declared model; None if
+    unknown.
+    """
+    left, rms = frame_data["left"], frame_data["rms"]
+    residuals = {
         "left": next((left[name] for name in RANKING_MODELS if left.get(name) is not None), None),
         "before": left.get("declared"),
         "rms": next((rms[name] for name in RANKING_MODELS if name in rms), None),
     }
     return {
-        **numbers,
-        "left_text": over_noise_text(numbers["left"]),
-        "before_text": over_noise_text(numbers["before"]),
-        "rms_text": number_text(numbers["rms"]),
+        **residuals,
+        "left_text": over_noise_text(residuals["left"]),
+        "before_text": over_noise_text(residuals["before"]),
+        "rms_text": number_text(residuals["rms"]),
         "number": number,
-        "label": shown["label"],
-        "file": shown["file"],
+        "label": frame_data["label"],
+        "file": frame_data["file"],
         "maximum": maximum,
         "remarks": remarks or NO_REMARK,
     }
 
 
-def _index_frames(
+def _build_viewer_index(
     files: FrameFiles, dims: Sequence[str], frames: list[dict[str, Any]], block: int, full_scale: float
 ) -> dict[str, Any]:
-    """Return the data of frames.js."""
+    """Return the data of frames.js: the grid, the layers, the noise, and the `frames` of `_describe_frame`.
+
+    `dims` are the dimensions of the grid. `noise` is the variance of a reading of 0 DN [DN²] and its rise for each DN
+    of mean [DN]; None if unknown.
+    """
     layers = list(dict.fromkeys(name for frame in frames for name in frame["layers"]))
     first = _choose_first(frames, _ranking_model(files))
-    # Before and after, or the only model.
     models = [name for name in PICTURE_MODELS if name in frames[first]["layers"]]
     return {
         "block": block,
@@ -234,24 +261,28 @@ def _index_frames(
         "noise": [_rounded(files.views["noise_at_zero"]), _rounded(files.views["noise_slope"])],
         "frames": frames,
         "first_frame": first,
+        # Before and after the effects were added, or the only model.
         "first_models": models[: 2 if "extended" in models else 1],
     }
 
 
 def _ranking_model(files: FrameFiles) -> str:
-    """Return the model by which frames are ranked."""
+    """Return the model from which the residuals that rank the frames are."""
     return next(name for name in RANKING_MODELS if name in files.views)
 
 
 def _choose_first(frames: Sequence[Mapping[str, Any]], model: str) -> int:
-    """Return the frame of the first screen: the largest gain by the extended model, or else the largest residual."""
+    """Return the index of the frame of the first screen.
+
+    It has the largest gain of the extended over the declared model, or else the largest residual from `model`.
+    """
 
     def score(frame: Mapping[str, Any]) -> float:
+        """Return the gain in mean square [DN²], or the residual [noise, or DN if the noise is unknown] − 10¹²."""
         before, after = (frame["rms"].get(name) for name in ("declared", "extended"))
         if model == "extended" and before is not None:
             return before**2 - (after or 0.0) ** 2
-        # Frames without a declared model come after all others.
-        return (frame["left"].get(model) or frame["rms"].get("simulated") or 0.0) - 1e12
+        return (frame["left"].get(model) or frame["rms"].get("simulated") or 0.0) - WITHOUT_DECLARED
 
     return int(np.argmax([score(frame) for frame in frames]))
 

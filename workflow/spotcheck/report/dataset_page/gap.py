@@ -1,4 +1,8 @@
-"""The gap on held-out data before and after the added effects, as a bar with the noise floor."""
+"""The gap on held-out data before and after the added effects, as a bar with the noise floor.
+
+The gap is the mean square of block residuals over that of their noise [1]; the noise floor is its value for a complete
+model. The verdict may add effects to the declared model, which closes a part of the gap.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -6,7 +10,7 @@ from typing import Any, NamedTuple
 from spotcheck.discrepancy.words import over_noise_text, percent_text
 from spotcheck.report.pages.plots import figure_json
 
-# Names and colours (of page.css) of the numbers in verdict.json: with added effects, and without any.
+# Name and colour (of page.css) of each number of the gap by its key in verdict.json: with added effects, and without.
 FLOOR = {"noise_floor": ("noise floor", "ink")}
 WITH_EFFECTS = {"before": ("before", "simulated"), "after": ("after", "measured"), **FLOOR}
 WITHOUT_EFFECTS = {"before": ("residuals", "simulated"), **FLOOR}
@@ -15,19 +19,19 @@ WITHOUT_EFFECTS = {"before": ("residuals", "simulated"), **FLOOR}
 class GapNumber(NamedTuple):
     """A number of the gap: mean square of block residuals over that of the noise."""
 
-    name: str  # what it is called
+    name: str  # name on the page
     colour: str  # name of its colour in page.css
-    text: str  # the number
-    key: str  # its name for `spotcheck explain`
+    text: str  # the number [1]
+    key: str  # full name of the number for `spotcheck explain`
 
 
 class Gap(NamedTuple):
     """The gap for the page."""
 
     figure: str  # the bar, as JSON for Plotly
-    numbers: list[GapNumber]
-    closed: str  # part of the gap that is closed; "" if none
-    on: str  # the data on which it was measured
+    numbers: list[GapNumber]  # the known ones of before, after and noise floor
+    closed: str  # share of the gap that is closed, in per cent; "" if none
+    on: str  # the held-out data on which the gap was measured, in words
 
     @property
     def alt(self) -> str:
@@ -37,15 +41,17 @@ class Gap(NamedTuple):
 
 
 def plot_gap(verdict: dict[str, Any]) -> Gap | None:
-    """Return the gap of a verdict; None if it was not measured."""
+    """Return the gap of a verdict (content of verdict.json); None if it was not measured."""
     gap = verdict["gap"]
     if gap["before"] is None:
         return None
     has_additions = adds_to_model(verdict)
     looks = WITH_EFFECTS if has_additions else WITHOUT_EFFECTS
+    # Name and colour of the known numbers.
     looks = {key: look for key, look in looks.items() if gap[key] is not None}
     numbers = [GapNumber(*look, over_noise_text(gap[key]), f"verdict.gap.{key}") for key, look in looks.items()]
     is_closed = has_additions and gap["closed"] is not None and gap["closed"] > 0
+    # Noise may raise the closed share above 1.
     closed = percent_text(min(gap["closed"], 1.0)) if is_closed else ""
     return Gap(_draw_bars(gap, looks), numbers, closed, str(gap["on"]))
 
@@ -56,7 +62,10 @@ def adds_to_model(verdict: dict[str, Any]) -> bool:
 
 
 def _draw_bars(gap: Mapping[str, Any], looks: Mapping[str, tuple[str, str]]) -> str:
-    """Return overlaid bars of the gap and a line at the noise floor; `looks` are names and colours by key."""
+    """Return a figure of overlaid bars of the gap and a line at the noise floor, as JSON for Plotly.
+
+    `gap` is that of the verdict; `looks` are names and colours of its known numbers by key.
+    """
     bars = []
     for key, width in (("before", 0.9), ("after", 0.5)):
         if key in looks:

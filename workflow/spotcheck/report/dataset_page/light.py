@@ -1,4 +1,8 @@
-"""The light of the report: declared and learned shape side by side."""
+"""The section on the light: the declared shape and the learned one side by side.
+
+The declared shape is that of the instrument file. The learned one was fitted to the frames, as a free shape that all
+frames of a pose share. Lengths u and v are in widths σ_g of the declared Gaussian.
+"""
 
 from typing import Any, NamedTuple
 
@@ -10,32 +14,32 @@ from spotcheck.discrepancy.words import percent_text
 from spotcheck.report.figures.light import MIN_LIGHT, Shapes, compare_shapes
 from spotcheck.report.pages.plots import colour_scales, figure_json
 
-# Width of a map, and of the gap between two, as parts of the figure's width.
+# Width of a map, and of the space between two maps, as shares of the width of the figure.
 MAP_WIDTH, MAP_GAP = 0.3, 0.02
-# Every so many pixels of a shape are drawn in its map.
+# A map shows every second row and column of a shape, to limit the size of the page.
 MAP_STEP = 2
 
 
 class LightSection(NamedTuple):
-    """The section of the report on the light; without a learned shape there are no figures."""
+    """The section of the report on the light; the figures are "" without a learned shape."""
 
     hint: str  # few words beside the title
-    text: str  # one or two sentences
+    text: str  # one or two sentences on the shape
     maps: str = ""  # JSON for Plotly: maps of both shapes and their difference
     profiles: str = ""  # JSON for Plotly: both shapes along the row and the column through the centre
 
 
 def describe_light(ds: xr.Dataset | None, verdict: dict[str, Any] | None, dataset: Dataset) -> LightSection | None:
-    """Return the section on the light; None if no spot was assessed.
+    """Return the section on the light; None if the verdict did not assess the spots.
 
     Parameters
     ----------
     ds : Dataset or None
-        Content of light.nc, also if that stage was skipped.
+        Content of light.nc, also if that stage was skipped; None without the file.
     verdict : dict or None
-        Content of verdict.json.
+        Content of verdict.json; None without the file.
     dataset : Dataset
-        The dataset.
+        The dataset, whose instrument declares the shape.
     """
     if ds is None or verdict is None or verdict["status"] == "not_assessed":
         return None
@@ -50,15 +54,17 @@ def describe_light(ds: xr.Dataset | None, verdict: dict[str, Any] | None, datase
 
 
 def _draw_maps(shapes: Shapes) -> str:
-    """Return maps of both shapes on one colour scale, and of their difference on another."""
+    """Return maps of both shapes on one colour scale, and of their difference on another, as JSON for Plotly."""
     scales, difference = colour_scales(), 100 * (shapes.learned - shapes.declared)
     limit, peak = float(np.abs(difference).max()), float(max(shapes.declared.max(), shapes.learned.max()))
+    # Title, image [row, column], colour scale and unit of each map.
     maps = (("declared", shapes.declared, "coloraxis", "1"), ("learned", shapes.learned, "coloraxis", "1"),
             ("learned − declared", difference, "coloraxis2", "%"))  # fmt: skip
     places = shapes.places[::MAP_STEP]
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
     for k, (title, image, scale, unit) in enumerate(maps):
+        # Plotly names its axes x, x2, x3.
         axis, start = "" if k == 0 else str(k + 1), k * (MAP_WIDTH + MAP_GAP)
         data.append({"type": "heatmap", "z": np.round(image[::MAP_STEP, ::MAP_STEP], 5), "x": places, "y": places,
                      "coloraxis": scale, "xaxis": f"x{axis}", "yaxis": f"y{axis}",
@@ -78,13 +84,13 @@ def _draw_maps(shapes: Shapes) -> str:
 
 
 def _draw_profiles(shapes: Shapes) -> str:
-    """Return both shapes along the row and the column through the centre."""
+    """Return both shapes along the row and the column through the centre, as JSON for Plotly."""
     middle, data = len(shapes.places) // 2, []
-    styles = {
+    lines = {
         "learned": (shapes.learned, {"color": "var(--measured)", "dash": "solid"}),
         "declared": (shapes.declared, {"color": "var(--simulated)", "dash": "dash"}),
     }
-    for name, (image, line) in styles.items():
+    for name, (image, line) in lines.items():
         for axis, values in (("", image[middle]), ("2", image[:, middle])):
             data.append({"type": "scatter", "mode": "lines", "name": name, "x": shapes.places,
                          "y": np.maximum(values, MIN_LIGHT), "line": line, "xaxis": f"x{axis}", "yaxis": f"y{axis}",

@@ -1,4 +1,9 @@
-"""The report: one self-contained page of a dataset, from a summary of the verdict to a list of skipped stages."""
+"""The report: one self-contained page of a dataset, from a summary of the verdict to a list of skipped stages.
+
+Each stage of the workflow writes one netCDF file, whose attribute `skipped` holds the reason if it could not run. The
+verdict (verdict.json) is the result of the test which effects the declared model of the frames lacks. The extended
+model includes these effects.
+"""
 
 import base64
 import json
@@ -22,11 +27,11 @@ from spotcheck.report.dataset_page.summary import number_keys, summarize
 from spotcheck.report.pages import plots, write_page
 from spotcheck.report.pages.citations import Citations
 
-# Larger SVG pictures [byte] are embedded as PNG, so that the page opens quickly.
+# SVG pictures of this size or more [byte] are embedded as PNG, so that the page opens quickly.
 LARGEST_SVG = 400_000
-# Pictures that the viewer of frames replaces.
+# Names of the pictures that the viewer of frames replaces.
 FRAME_PICTURES = ("overview", "residuals", "missing-answer")
-# Results with an image for every frame; they are read frame by frame.
+# Names of the results with an image for every frame, which are too large to be loaded whole.
 FRAME_RESULTS = ("crops", "simulated", "views", "extended")
 
 Content = dict[str, Any]  # variables of the template report.html
@@ -41,7 +46,7 @@ def write_report(dataset: Dataset, results: Path, path: Path) -> None:
     dataset : Dataset
         The dataset.
     results : Path
-        Its results folder.
+        Results folder of the dataset.
     path : Path
         Page to write.
     """
@@ -64,7 +69,7 @@ def write_report(dataset: Dataset, results: Path, path: Path) -> None:
         "numbers": tables.read_paper_numbers(results / "paper_numbers.csv"),
     }
     if dataset.spots:
-        content |= _collect_frames(dataset, results, stages, verdict)
+        content |= _build_frame_content(dataset, results, stages, verdict)
     content["links"] = _list_links(content)
     write_page(path, "dataset_page/report.html", **plots.plotly_content(), **content)
 
@@ -75,7 +80,7 @@ def _read_json(path: Path) -> Any:
 
 
 def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> Content:
-    """Return the summary, the gap and the evidence of a verdict; nothing without one."""
+    """Return the summary, the gap, the evidence and the tested data sheet of a verdict; {} without one."""
     if verdict is None:
         return {}
     return {
@@ -88,7 +93,7 @@ def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> C
 
 
 def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations) -> Content:
-    """Return the tables of the results."""
+    """Return the tables of the results; `available` are the stages that were not skipped."""
     fits = available.get("fits")
     return {
         "sensor": tables.tabulate_sensor(available.get("sensor"), citations),
@@ -106,13 +111,16 @@ def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations)
 
 
 def _collect_figures(dataset: Dataset, results: Path, available: Stages) -> Content:
-    """Return curves, pictures that no curve replaces, and the titles of skipped figures by their reason."""
+    """Return the curves, the pictures that neither a curve nor the viewer of frames replaces, and skipped figures.
+
+    Skipped figures are pairs of a reason and the titles of all figures with this reason.
+    """
     curves = draw_curves(available)
     replaced = {curve.picture for curve in curves} | set(FRAME_PICTURES if dataset.spots else ())
     index = _read_json(results / "figures" / "index.json") or {"figures": [], "skipped": []}
-    skipped: dict[str, list[str]] = {}
+    titles_by_reason: dict[str, list[str]] = {}
     for figure in index["skipped"]:
-        skipped.setdefault(figure["why"], []).append(figure["title"])
+        titles_by_reason.setdefault(figure["why"], []).append(figure["title"])
     return {
         "curves": curves,
         "levels_curve": draw_levels(available.get("transfer")),
@@ -121,40 +129,43 @@ def _collect_figures(dataset: Dataset, results: Path, available: Stages) -> Cont
             for figure in index["figures"]
             if figure["name"] not in replaced
         ],
-        "skipped_figures": list(skipped.items()),
+        "skipped_figures": list(titles_by_reason.items()),
     }
 
 
 def _embed_picture(folder: Path, name: str) -> str:
-    """Return a picture as a data address: SVG, or PNG if the SVG is large."""
-    vector = folder / f"{name}.svg"
-    is_small = vector.stat().st_size < LARGEST_SVG
-    path, kind = (vector, "svg+xml") if is_small else (folder / f"{name}.png", "png")
-    return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode()}"
+    """Return a picture as a data URL: the SVG, or the PNG of the same name if the SVG is large."""
+    svg = folder / f"{name}.svg"
+    is_small = svg.stat().st_size < LARGEST_SVG
+    path, image_type = (svg, "svg+xml") if is_small else (folder / f"{name}.png", "png")
+    return f"data:image/{image_type};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def _list_skipped(dataset: Dataset, stages: Stages) -> Content:
-    """Return skipped stages with their reasons, and axes of the grid without values in the manifest."""
+    """Return the skipped stages with their reasons, and the grid axes without values in the manifest."""
     skipped = [(name, ds.attrs["skipped"]) for name, ds in stages.items() if "skipped" in ds.attrs]
     if not dataset.spots:
         return {"skipped": [*skipped, ("spots", "the manifest has no frame of kind spot; crops and fits need them")]}
     return {"skipped": skipped, "axes_without_values": [axis.name for axis in dataset.axes if axis.values is None]}
 
 
-def _collect_frames(dataset: Dataset, results: Path, stages: Stages, verdict: dict[str, Any] | None) -> Content:
-    """Return the images of the frames, texts about them, and remarks on frames that were set aside."""
+def _build_frame_content(dataset: Dataset, results: Path, stages: Stages, verdict: dict[str, Any] | None) -> Content:
+    """Return the section on the spot frames: their images, texts beside them, and the remarks of crops.nc.
+
+    These remarks are shown as "frames set aside", since they are on frames that no fit uses.
+    """
     has_additions = verdict is not None and adds_to_model(verdict)
     with store.read(results / "crops.nc") as crops, store.read(results / "views.nc") as views:
-        # Without additions, the extended model equals the declared one.
+        # Without additions, the extended model equals the declared one and is not shown.
         omitted = [] if has_additions else [str(name) for name in views if str(name).startswith("extended")]
         section = collect_frames(dataset, FrameFiles(stages["frames"], crops, stages["fits"], views.drop_vars(omitted)))
         return {"frames": section, "set_aside": store.remarks_of(crops), **_describe_frames(section)}
 
 
 def _describe_frames(section: FrameSection) -> Content:
-    """Return the texts beside the pictures and the table of frames."""
+    """Return the texts beside the first picture and the table of frames."""
     index = section.index
-    first, worst = index["frames"][index["first_frame"]], section.rows[0]
+    first, largest = index["frames"][index["first_frame"]], section.rows[0]
     models = [NAMES[name] for name in index["first_models"]]
     criterion = "improvement by the extended model" if "extended" in index["first_models"] else "residual"
     scales = " All readings share one colour scale, all residuals another; red means brighter than the model."
@@ -164,13 +175,14 @@ def _describe_frames(section: FrameSection) -> Content:
         "first_caption": f"The frame with the largest {criterion} ({first['label'] or first['file']}): {shown}",
         "ranking_model": NAMES[section.ranked_by],
         "has_before": "declared" in index["names"] and section.ranked_by == "extended",
-        "table_hint": f"largest residual: {worst['label'] or worst['file']}; {remarks}",
+        "table_hint": f"largest residual: {largest['label'] or largest['file']}; {remarks}",
     }
 
 
 def _list_links(content: Content) -> list[tuple[str, str]]:
-    """Return the links of the first screen: ids and titles of sections that exist."""
-    links = (
+    """Return the links of the first screen: id and title of each section that has content."""
+    # Id, title and content of each section.
+    sections = (
         ("frames", "Frames", content.get("frames")),
         ("table", "Table of frames", content.get("frames")),
         ("evidence", "Evidence", content.get("evidence")),
@@ -181,4 +193,4 @@ def _list_links(content: Content) -> list[tuple[str, str]]:
         ("numbers", "The paper's numbers", content["numbers"]),
         ("skipped", "Skipped", True),
     )
-    return [(name, title) for name, title, is_present in links if is_present]
+    return [(section_id, title) for section_id, title, section in sections if section]

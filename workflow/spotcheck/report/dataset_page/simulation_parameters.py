@@ -1,4 +1,7 @@
-"""Parameters of the simulation with their sources, as in Table 3 of the paper."""
+"""Parameters of the simulation with their sources, as in Table 3 of the paper.
+
+p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure.
+"""
 
 from operator import attrgetter
 from typing import NamedTuple
@@ -11,7 +14,7 @@ from spotcheck.io.number_text import quantity_text
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.report.pages.citations import Citations
 
-# Parameters of the data sheet: name, symbol, unit, key of instrument.yaml.
+# Parameters of the instrument file: name, symbol, unit, key of instrument.yaml.
 STATED = (
     ("Focal length", "f", "m", "optics.focal_length_m"),
     ("Working distance", "d_w", "m", "optics.working_distance_m"),
@@ -27,37 +30,37 @@ STATED = (
     ("Side of the crop", "–", "px", "crop_px"),
     ("Photon budget", "–", "", "model.photon_budget"),
 )
-# Symbols of variables of sensor.nc.
-SENSOR = {"gain_dn_per_e": "K", "read_noise_e": "σ_d", "dark_current_e_per_s": "µ_I"}
+# Symbols of the variables of sensor.nc that are parameters.
+SENSOR_SYMBOLS = {"gain_dn_per_e": "K", "read_noise_e": "σ_d", "dark_current_e_per_s": "µ_I"}
 
 
 class ParameterRow(NamedTuple):
-    """A row of the table."""
+    """A row of the table of parameters."""
 
     name: str  # the parameter in words
-    symbol: tuple[str, str]  # symbol and its index
+    symbol: tuple[str, str]  # symbol and its subscript; "" for no subscript
     value: str  # value with its unit
-    source: str  # where the value is from; "" if there is none
+    source: str  # where the value is from; "" if there is no value
 
 
 def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citations: Citations) -> list[ParameterRow]:
-    """Return the parameters of the simulation.
+    """Return a row for each parameter of the simulation; those of skipped stages are omitted.
 
     Parameters
     ----------
     dataset : Dataset
         The dataset.
     files : dict of str to Dataset
-        Results by their names, without those that were skipped.
+        netCDF results by file name without suffix, without skipped ones.
     citations : Citations
         Marks numbers with their sources.
     """
 
     def row(name: str, symbol: str, value: float | str | None, unit: str, source: str, key: str = "") -> ParameterRow:
-        """Return a row; a value that is text has its unit."""
-        sign, _, index = symbol.partition("_")
+        """Return a row; a value that is text includes its unit, and `key` is its name for `spotcheck explain`."""
+        letter, _, subscript = symbol.partition("_")
         text = citations.cite(_value_text(value, unit), key)
-        return ParameterRow(name, (sign, index), text, "" if value is None else source)
+        return ParameterRow(name, (letter, subscript), text, "" if value is None else source)
 
     instrument = dataset.instrument
     rows = [
@@ -67,16 +70,17 @@ def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citation
     if instrument.model.top_hat:
         rows.append(row("Top hat radius", "r_TH", TOP_HAT_RADIUS, "1", "Eq. 40"))
     if "sensor" in files:
-        for name, symbol in SENSOR.items():
+        for name, symbol in SENSOR_SYMBOLS.items():
             variable = files["sensor"][name]
-            words = variable.attrs["long_name"]
-            title = words[:1].upper() + words[1:]
+            long_name = variable.attrs["long_name"]
+            title = long_name[:1].upper() + long_name[1:]
             unit, source = variable.attrs["units"], variable.attrs["source"]
             rows.append(row(title, symbol, float(variable), unit, source, f"sensor.{name}"))
     if dataset.exposures:
         times = ", ".join(quantity_text(exposure, None, "s") for exposure in dataset.exposures)
         rows.append(row("Exposure times", "t_exp", times, "", "manifest.csv"))
     if "calibration" in files:
+        # The estimate of p1, p2 and the peak that the simulation uses.
         used = files["calibration"].sel(estimator=files["calibration"].attrs["used"])
         for name, kind in (("p1", "factor"), ("p2", "offset")):
             text = quantity_text(float(used[f"{name}_mean"]), float(used[f"{name}_sd_all"]), "px")
@@ -88,7 +92,7 @@ def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citation
 
 
 def _value_text(value: float | str | None, unit: str) -> str:
-    """Return a value with its unit."""
+    """Return a value with its unit; None is "not given", NaN is "unknown"."""
     if value is None:
         return "not given"
     if isinstance(value, str):

@@ -1,4 +1,9 @@
-"""The summary on the first screen of the report: the verdict, its significance, and what to measure next."""
+"""The summary on the first screen of the report: the verdict, its significance, and what to measure next.
+
+The verdict (verdict.json) is the result of the test which effects the model of the frames lacks. Its `status` is
+not_assessed, not_converged, consistent, unknown, ambiguous, named or named_more_remains. The gap is the mean square of
+block residuals over that of the noise, on held-out data. The levels are mean and variance of flats and darks.
+"""
 
 from typing import Any, NamedTuple
 
@@ -16,31 +21,26 @@ MOST_SIMILAR = 3
 class Summary(NamedTuple):
     """Sentences that summarize a verdict, each "" if there is nothing to say."""
 
-    verdict: str  # what was found
+    verdict: str  # whether the frames agree with the model, or the effects that explain the difference
     significance: str  # p-value, closed part of the gap, and the gain of flats
     advice: str  # what to measure next
 
 
 def summarize(verdict: dict[str, Any]) -> Summary:
-    """Return the summary of a verdict.
-
-    Parameters
-    ----------
-    verdict : dict
-        Content of verdict.json.
-    """
+    """Return the summary of a verdict, which is the content of verdict.json."""
     significance, gain = _describe_significance(verdict), _describe_gain(verdict)
     if significance and gain:
+        # Before the full stop of the last sentence.
         significance = f"{significance[:-1]}; {gain}."
     return Summary(_describe_verdict(verdict), significance, _advise(verdict))
 
 
 def number_keys(verdict: dict[str, Any]) -> dict[str, str]:
-    """Return the keys of the numbers in the sentences of a verdict, by their texts.
+    """Return the keys of the numbers that sentences about a verdict may contain, by their texts in a sentence.
 
-    A key is the name of a number for `spotcheck explain`, such as `verdict.gap.closed`.
+    A key is the full name of a number for `spotcheck explain`, such as `verdict.gap.closed`.
     """
-    detection, rest, closed = verdict["detection"], verdict["unexplained"]["size"], verdict["gap"]["closed"]
+    detection, unexplained, closed = verdict["detection"], verdict["unexplained"]["size"], verdict["gap"]["closed"]
     keys = {}
     for effect in verdict["effects"]:
         for name, value in effect["parameters"].items():
@@ -58,8 +58,8 @@ def number_keys(verdict: dict[str, Any]) -> dict[str, str]:
         keys[probability_text(detection["p_value"])] = "verdict.detection.p_value"
     if closed is not None:
         keys[percent_text(min(closed, 1.0))] = "verdict.gap.closed"
-    if rest is not None:
-        keys[percent_text(rest)] = "verdict.unexplained.size"
+    if unexplained is not None:
+        keys[percent_text(unexplained)] = "verdict.unexplained.size"
     if detection["rms_residual_percent_of_peak"] is not None:
         rms = percent_text(detection["rms_residual_percent_of_peak"] / 100)
         keys[rms] = "verdict.detection.rms_residual_percent_of_peak"
@@ -72,15 +72,16 @@ def _value_text(parameter: dict[str, Any]) -> str:
 
 
 def _gain_text(verdict: dict[str, Any], name: str) -> str:
-    """Return one of the gains of a verdict on flats."""
+    """Return one of the gains of a verdict on flats, as text: `straight_line` or `gain_dn_per_e`."""
     gain = verdict["levels"][name]
     return quantity_text(gain["value"], gain["stderr"], "DN/e-")
 
 
 def _describe_verdict(verdict: dict[str, Any]) -> str:
-    """Return the verdict in one sentence."""
+    """Return the verdict in one sentence: agreement, or the effects that explain the difference."""
     status = verdict["status"]
     if status in ("not_assessed", "not_converged"):
+        # The effect "all" stands for the whole verdict.
         reasons = [entry["why"] for entry in verdict["not_assessed"] if entry["effect"] == "all"]
         opening = "Nothing could be tested" if status == "not_assessed" else "No effect is named"
         return f"{opening}: {list_text(reasons, '; ') or 'no test was possible'}."
@@ -93,14 +94,15 @@ def _describe_verdict(verdict: dict[str, Any]) -> str:
         return f"{opening}, and no known effect explains the difference."
     effects = verdict["effects"]
     if status == "ambiguous":
-        return f"{opening}: {either_text(next(e for e in effects if len(e['candidates']) > 1), verdict)}."
+        ambiguous_effect = next(effect for effect in effects if len(effect["candidates"]) > 1)
+        return f"{opening}: {either_text(ambiguous_effect, verdict)}."
     count = len(effects) - 1
     more = {0: "", 1: ", and one more effect was detected"}.get(count, f", and {count} more effects were detected")
     return f"{opening}: {effect_text(effects[0], verdict)}{more}."
 
 
 def _describe_significance(verdict: dict[str, Any]) -> str:
-    """Return the p-value in words and how much of the gap is closed; "" if nothing was tested."""
+    """Return a sentence on the p-value of the overall test and the closed share of the gap; "" without a test."""
     status, p, effects = verdict["status"], verdict["detection"]["p_value"], verdict["effects"]
     if status in ("not_assessed", "not_converged") or p is None:
         return ""
@@ -108,13 +110,14 @@ def _describe_significance(verdict: dict[str, Any]) -> str:
     if status == "consistent":
         return f"Noise alone causes a difference at least as large {chance}."
     if p < RARE:
-        rarely = f"less than once in ten thousand measurements ({probability_text(p)})"
-        text = f"Noise alone causes such a difference {rarely}"
+        text = (
+            f"Noise alone causes such a difference less than once in ten thousand measurements ({probability_text(p)})"
+        )
     elif p < verdict["detection"]["alpha"]:
         text = f"Noise alone causes such a difference {chance}"
     else:
-        but = "tests of single effects do" if effects else "the residual exceeds the tolerance"
-        text = f"The overall test finds no disagreement ({probability_text(p)}), but {but}"
+        contrast = "tests of single effects do" if effects else "the residual exceeds the tolerance"
+        text = f"The overall test finds no disagreement ({probability_text(p)}), but {contrast}"
     if status == "unknown":
         return f"{text}."
     if status == "ambiguous":
@@ -123,14 +126,15 @@ def _describe_significance(verdict: dict[str, Any]) -> str:
     if closed is None or closed <= 0:
         return f"{text}, and no other known effect fits as well."
     if len(effects) > 1:
-        closing = "these effects close"
+        cause = "these effects close"
     else:
-        closing = "this effect closes" if verdict["light"] is None else "the learned shape closes"
-    return f"{text}, and {closing} {percent_text(min(closed, 1.0))} of the gap on {verdict['gap']['on']}."
+        cause = "this effect closes" if verdict["light"] is None else "the learned shape closes"
+    # Noise may raise the closed share above 1.
+    return f"{text}, and {cause} {percent_text(min(closed, 1.0))} of the gap on {verdict['gap']['on']}."
 
 
 def _describe_gain(verdict: dict[str, Any]) -> str:
-    """Return the gain from the levels of flats; "" for a verdict on spots."""
+    """Return a clause on the gain K [DN/e-] from the levels of flats; "" for a verdict on spots."""
     if "levels" not in verdict:
         return ""
     line = _gain_text(verdict, "straight_line")
@@ -142,8 +146,8 @@ def _describe_gain(verdict: dict[str, Any]) -> str:
 
 
 def _advise(verdict: dict[str, Any]) -> str:
-    """Return what to measure next, or why there is no such advice."""
-    status, rest = verdict["status"], verdict["unexplained"]["size"]
+    """Return a sentence on what to measure next, or on why there is no such advice."""
+    status, unexplained = verdict["status"], verdict["unexplained"]["size"]
     if verdict["advice"]:
         measurements = [
             f"{advice['frames']} frame{'s' if advice['frames'] > 1 else ''} at {condition_text(advice['condition'])},"
@@ -154,13 +158,16 @@ def _advise(verdict: dict[str, Any]) -> str:
     if status == "unknown":
         place = f"; the residual is largest in {verdict['where'][0]['words']}" if verdict["where"] else ""
         return f"No measurement can be advised, because no known effect predicts the difference{place}."
-    if status == "named_more_remains" and rest is not None:
+    if status == "named_more_remains" and unexplained is not None:
+        # Their fitted strength is significant, but they are not named.
         similar = [limit["effect"] for limit in verdict["limits"] if limit["more"] == ALREADY_PRESENT][:MOST_SIMILAR]
-        but = "none of them explains it" if len(similar) > 1 else "it does not explain it"
-        nearest = f"most similar: {list_text(similar)}, but {but}" if similar else "no known effect is similar to it"
+        contrast = "none of them explains it" if len(similar) > 1 else "it does not explain it"
+        nearest = (
+            f"most similar: {list_text(similar)}, but {contrast}" if similar else "no known effect is similar to it"
+        )
         return (
             "The named effects need no further measurement;"
-            f" {percent_text(rest)} of the peak remains unexplained ({nearest})."
+            f" {percent_text(unexplained)} of the peak remains unexplained ({nearest})."
         )
     return {
         "ambiguous": "No measurement is known that would separate them.",

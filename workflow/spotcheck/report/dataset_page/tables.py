@@ -1,4 +1,9 @@
-"""Tables of the results as rows of text: sensor, flats and darks, p1 and p2, fits, precision, the paper's numbers."""
+"""Tables of the results as rows of text: sensor, flats and darks, p1 and p2, fits, precision, the paper's numbers.
+
+p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure. They and the peak
+[DN] of a spot are calibrated by several estimators, of which the simulation uses one. Arguments named like a netCDF
+file hold its content; they are None if the file is missing or its stage was skipped.
+"""
 
 import csv
 from pathlib import Path
@@ -19,23 +24,26 @@ from spotcheck.fitting.fit_results import PARAMETERS
 from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
 from spotcheck.io.number_text import number_text, quantity_text
+from spotcheck.paper.number_checks import GROUPS
 from spotcheck.paper.plateau_level import estimate_plateau_levels
-from spotcheck.report.dataset_page.frames import cell_label
+from spotcheck.report.figures import series
 from spotcheck.report.pages.citations import Citations
 
-# Most rows of the table of fits; fits.nc has all of them.
+# Most rows of the table of fits; fits.nc has the fits of all frames.
 MOST_FITS = 200
-# Columns of the table of fit ranges, by the ends of their names in transfer.nc.
+# Columns of the table of fit ranges; their variables in transfer.nc have the prefix "range_".
 RANGE_COLUMNS = ("limit", "levels", "gain", "intercept")
-# Quantities of a beam: variable of caustic.nc, words, and the unit.
+# Quantities of a beam: variable of caustic.nc, words before the value, and unit.
 BEAM = (
     ("waist_radius", "waist w0 =", "m"),
     ("waist_position", "at z0 =", "m"),
     ("divergence", "divergence θ =", "rad"),
     ("m2", "M² =", "1"),
 )
+# Decimals of a standard deviation or bias of p1 and p2 [px]: smaller values are rounding of floats.
+SD_DECIMALS = 6
 
-Row = dict[str, Any]
+Row = dict[str, Any]  # row of a table: texts by the names of the template
 
 
 def summarize_frames(frames: xr.Dataset) -> str:
@@ -47,16 +55,14 @@ def summarize_frames(frames: xr.Dataset) -> str:
 
 
 def tabulate_sensor(sensor: xr.Dataset | None, citations: Citations) -> list[Row]:
-    """Return the quantities of the sensor: the values in use, and the values by each source."""
+    """Return a row for each quantity of the sensor: the value in use, and the value by each source; [] if None."""
     if sensor is None:
         return []
     rows = []
     for name, (unit, long_name) in SENSOR_QUANTITIES.items():
         value, error = float(sensor[name]), float(sensor[f"{name}_stderr"])
         text = "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}"
-        by_source = zip(
-            sensor["source"].values, sensor[f"{name}_by"].values, sensor[f"{name}_by_stderr"].values, strict=True
-        )
+        columns = (sensor[variable].values for variable in ("source", f"{name}_by", f"{name}_by_stderr"))
         rows.append(
             {
                 "name": long_name,
@@ -65,29 +71,34 @@ def tabulate_sensor(sensor: xr.Dataset | None, citations: Citations) -> list[Row
                 "units": unit,
                 "source": sensor[name].attrs["source"],
                 "by_source": [
-                    ""
-                    if np.isnan(stated)
-                    else citations.cite(
-                        quantity_text(float(stated), float(stderr)), f"sensor.{name}_by[source={source}]"
-                    )
-                    for source, stated, stderr in by_source
+                    citations.cite(_known_text(value_by, stderr_by), f"sensor.{name}_by[source={source}]")
+                    for source, value_by, stderr_by in zip(*columns, strict=True)
                 ],
             }
         )
     return rows
 
 
+def _known_text(value: float, stderr: float) -> str:
+    """Return a value with its standard error; "" if the value is NaN."""
+    return "" if np.isnan(value) else quantity_text(float(value), float(stderr))
+
+
 def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return the quantities of EMVA 1288 from flats and darks, their remarks, and gains of several fit ranges."""
+    """Return the variable `transfer` of sensor.html: quantities of EMVA 1288, remarks, and gains of several fit ranges.
+
+    A quantity that is unknown has the reason `why`. Returns None without transfer.nc.
+    """
     if transfer is None:
         return None
     rows = []
     for quantity in read_quantities(transfer).values():
+        _, _, meaning = TRANSFER_QUANTITIES[quantity.name]
         text = quantity_text(quantity.value, quantity.stderr)
         is_known = np.isfinite(quantity.value)
         rows.append(
             {
-                "name": TRANSFER_QUANTITIES[quantity.name][2],
+                "name": meaning,
                 "symbol": quantity.symbol,
                 "value": citations.cite(text, f"transfer.{quantity.name}") if is_known else "unknown",
                 "unit": "" if quantity.unit == "1" else quantity.unit,
@@ -105,7 +116,10 @@ def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict
 
 
 def tabulate_ranges(transfer: xr.Dataset) -> list[tuple[str, str, str, str]]:
-    """Return, for each fit range, its upper end in parts of saturation, number of levels, gain and intercept."""
+    """Return a row of texts for each range of levels to which a line was fitted.
+
+    A row has the upper end [% of saturation], the number of levels, the gain [DN/e-] and the intercept [DN].
+    """
     rows = []
     for k in range(transfer.sizes["range"]):
         fit = transfer.isel(range=k)
@@ -119,7 +133,11 @@ def tabulate_ranges(transfer: xr.Dataset) -> list[tuple[str, str, str, str]]:
 
 
 def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return p1 and p2 by each estimator, with standard deviations and the bias found by simulation."""
+    """Return the variable `calibration` of calibration.html: p1, p2 and the peak by each estimator.
+
+    `sd_repeats`, `sd_angles` and `sd_all` are standard deviations over repeats, angles and all sites [px]; `miss` is
+    the bias found by simulation [px]. `laser_width` is the width of the laser in the image [px].
+    """
     if calibration is None:
         return None
     rows = []
@@ -128,16 +146,15 @@ def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -
         row: Row = {
             "text": calibration.attrs[f"estimator_{estimator}"],
             "is_used": estimator == calibration.attrs["used"],
-            "peak": citations.cite(number_text(float(values["peak"]), 4), f"calibration.peak{label}"),
+            "peak": citations.cite(number_text(float(values["peak"]), digits=4), f"calibration.peak{label}"),
         }
         for p in ("p1", "p2"):
             text = quantity_text(float(values[f"{p}_mean"]), float(values[f"{p}_stderr"]), "px")
             row[p] = {"value": citations.cite(text, f"calibration.{p}_mean{label}")}
             for name in ("sd_all", "sd_angles", "miss"):
-                # Less than a millionth of a pixel is rounding of floats.
-                text = number_text(round(float(values[f"{p}_{name}"]), 6), 2)
+                text = number_text(round(float(values[f"{p}_{name}"]), SD_DECIMALS), digits=2)
                 row[p][name] = citations.cite(text, f"calibration.{p}_{name}{label}")
-            row[p]["sd_repeats"] = number_text(float(values[f"{p}_sd_repeats"].mean()), 2)
+            row[p]["sd_repeats"] = number_text(float(values[f"{p}_sd_repeats"].mean()), digits=2)
         rows.append(row)
     return {
         "rows": rows,
@@ -147,18 +164,18 @@ def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -
 
 
 def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citations) -> list[tuple[str, list[str]]]:
-    """Return the first frames, each with its fitted values and standard errors, and reduced χ²."""
+    """Return a row for each of the first frames: its name; its fitted values with errors, and reduced χ²."""
     if fits is None:
         return []
-    chosen = select_preferred_fits(fits)
+    preferred = select_preferred_fits(fits)
     rows = []
     for index, frame in list(dataset.cells())[:MOST_FITS]:
-        fit = chosen.isel({axis.name: k for axis, k in zip(dataset.axes, index, strict=True)})
+        fit = preferred.isel({axis.name: k for axis, k in zip(dataset.axes, index, strict=True)})
         cells = []
         for name in PARAMETERS:
             value, error = float(fit[name]), float(fit[f"{name}_stderr"])
             text = quantity_text(value, error)
-            # A round spot has no orientation: its error is infinite.
+            # A round spot has no orientation; its error is infinite.
             is_known = np.isfinite(value) and not np.isinf(error)
             cells.append(citations.cite_frame(text, f"fits.{name}", frame.label) if is_known else "–")
         chi2 = number_text(float(fit["chi2_reduced"]))
@@ -168,49 +185,53 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citation
 
 
 def describe_fit(fits: xr.Dataset | None) -> str:
-    """Return the method of the fits in the table."""
+    """Return the method of the preferred fits, which the table shows, in words; "" without fits.nc."""
     return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
 
 
 def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
-    """Return peaks by readings of the paper's equations, beside the calibrated one.
+    """Return the peak of the spot [DN] by interpretations of the paper's equations, and the calibrated one.
 
-    None without calibration or sensor, or if the data sheet lacks a number of Table 3.
+    `files` are results by file name without suffix. Returns None without calibration or sensor, or if the instrument
+    file lacks a number of Table 3 of the paper. The equations do not fix the peak, since their units do not agree.
     """
     if "calibration" not in files or "sensor" not in files:
         return None
     used = files["calibration"].sel(estimator=files["calibration"].attrs["used"])
     p1, p2, gain = float(used["p1_mean"]), float(used["p2_mean"]), float(files["sensor"]["gain_dn_per_e"])
-    longest = max(frame.exposure_s or 0.0 for frame in dataset.spots)
+    longest_s = max(frame.exposure_s or 0.0 for frame in dataset.spots)
     try:
         rows = [
             (text, number_text(peak))
-            for text, peak in estimate_plateau_levels(dataset.instrument, longest, p1, p2, gain)
+            for text, peak in estimate_plateau_levels(dataset.instrument, longest_s, p1, p2, gain)
         ]
     except InputError:
         return None
-    return {"rows": rows, "calibrated": float(used["peak"]), "exposure": quantity_text(longest, None, "s")}
+    return {"rows": rows, "calibrated": float(used["peak"]), "exposure": quantity_text(longest_s, None, "s")}
 
 
 def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup | None:
     """Return waist, divergence and M² in a sentence, for each axis or for the mean of both axes of a round beam."""
     if caustic is None:
         return None
-    parts = []
-    for words, beam in select_beam_rows(caustic).items():
+    clauses = []
+    for axis_name, beam in select_beam_rows(caustic).items():
         quantities = []
-        for name, phrase, unit in BEAM:
-            text = quantity_text(float(beam[name]), float(beam[f"{name}_stderr"]), unit)
-            key = f"caustic.{name}[axis={beam['axis'].item()}]"
-            quantities.append(Markup("{} {}").format(phrase, citations.cite(text, key)))
-        parts.append(Markup("{}: {} {}, {}, {}").format(words, *quantities))
+        for variable, words, unit in BEAM:
+            text = quantity_text(float(beam[variable]), float(beam[f"{variable}_stderr"]), unit)
+            key = f"caustic.{variable}[axis={beam['axis'].item()}]"
+            quantities.append(Markup("{} {}").format(words, citations.cite(text, key)))
+        clauses.append(Markup("{}: {} {}, {}, {}").format(axis_name, *quantities))
     return Markup(
         "The fitted widths follow a hyperbola in z ({} beam; 1/e² radii of the fitted Gaussian, standard errors); {}."
-    ).format(caustic.attrs["beam"], Markup("; ").join(parts))
+    ).format(caustic.attrs["beam"], Markup("; ").join(clauses))
 
 
 def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return a sentence on the precision, and for every condition scatter, bound and their ratio."""
+    """Return a sentence on the precision of the fits, and a row for each condition; None without precision.nc.
+
+    A row has scatter over repeats, Cramér–Rao bound and their ratio, of measured and of simulated frames.
+    """
     if precision is None:
         return None
     dims = [str(dim) for dim in precision["frames_measured"].dims]
@@ -221,21 +242,25 @@ def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> di
         labels = [f"{dim}={condition[dim].item() if dim in precision.coords else k}" for dim, k in place.items()]
         cells = []
         for source in ("measured", "simulated"):
-            for table, parameter, text in _precision_texts(condition, source):
-                key = ",".join([*labels, *([f"parameter={parameter}"] if parameter else [])])
-                cells.append(citations.cite(text, f"precision.{table}_{source}[{key}]"))
-        rows.append((cell_label(precision, place) or "all frames", cells))
+            for variable, parameter, text in _precision_texts(condition, source):
+                selection = ",".join([*labels, *([f"parameter={parameter}"] if parameter else [])])
+                cells.append(citations.cite(text, f"precision.{variable}_{source}[{selection}]"))
+        rows.append((series.condition_text(precision, place) or "all frames", cells))
     return {"sentence": summarize_precision(precision), "rows": rows}
 
 
 def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str, str]]:
-    """Return the numbers of a condition: name of the variable, parameter ("" for none), and text."""
+    """Return the numbers of a condition: variable without its source, parameter ("" for none), and text.
+
+    `source` is "measured" or "simulated".
+    """
 
     def value(name: str, parameter: str) -> float:
+        """Return the value of a variable for a parameter of the fit."""
         return float(condition[f"{name}_{source}"].sel(parameter=parameter))
 
     texts = [("frames", "", str(int(condition[f"frames_{source}"])))]
-    texts += [(name, "sigma_mean", number_text(value(name, "sigma_mean"), 2)) for name in ("scatter", "bound")]
+    texts += [(name, "sigma_mean", number_text(value(name, "sigma_mean"), digits=2)) for name in ("scatter", "bound")]
     for parameter in ("sigma_mean", "amplitude"):
         ratio, error = value("ratio", parameter), value("ratio_stderr", parameter)
         texts.append(("ratio", parameter, quantity_text(ratio, error) if np.isfinite(ratio) else "–"))
@@ -243,18 +268,20 @@ def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str,
 
 
 def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
-    """Return frames that are not used, or not completely, with the meanings of their flags."""
+    """Return the frames that no fit uses, or not completely, with the meanings of their flags."""
     if fits is None:
         return []
-    chosen = select_preferred_fits(fits).transpose(*(axis.name for axis in dataset.axes), ...)
-    status, left_out = chosen["status"].values, chosen["left_out"].values
-    still_used = store.flag("clipped") | store.flag("misfit")
+    preferred = select_preferred_fits(fits).transpose(*(axis.name for axis in dataset.axes), ...)
+    # Pixels that a fit left out, in words.
+    status, left_out_pixels = preferred["status"].values, preferred["left_out"].values
+    # Frames with these flags alone are used completely.
+    harmless_flags = store.flag("clipped") | store.flag("misfit")
     rows = []
     for index, frame in dataset.cells():
         reasons = [
-            left_out[index] if bit == store.flag("left_out") else text
-            for bit, (_, text) in store.STATUS.items()
-            if status[index] & bit and not bit & still_used
+            left_out_pixels[index] if bit == store.flag("left_out") else meaning
+            for bit, (_, meaning) in store.STATUS.items()
+            if status[index] & bit and not bit & harmless_flags
         ]
         if reasons:
             rows.append((frame.label, "; ".join(reasons)))
@@ -262,15 +289,16 @@ def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple
 
 
 def read_paper_numbers(path: Path) -> dict[str, Any] | None:
-    """Return the rows of paper_numbers.csv by kind, and how many of the counted ones hold; None without the file."""
+    """Return the variable `numbers` of numbers.html, from paper_numbers.csv; None without the file.
+
+    `groups` are the rows of the file by the words for their group. `shares` are the number of rows of each group that
+    are met, and the number of all.
+    """
     if not path.exists():
         return None
-    groups: dict[str, list[dict[str, str]]] = {}
+    groups: dict[str, list[dict[str, str]]] = {name: [] for name in GROUPS.values()}
     for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
-        groups.setdefault(row["kind"], []).append(row)
-    shares = {}
-    for kind, rows in groups.items():
-        if counted := [row["holds"] == "True" for row in rows if row["counted"] == "True"]:
-            shares[kind] = (sum(counted), len(counted))
-    holding, total = (sum(share[k] for share in shares.values()) for k in (0, 1))
-    return {"groups": groups, "shares": shares, "hint": f"{holding} of {total} hold"}
+        groups[GROUPS[row["group"]]].append(row)
+    shares = {name: (sum(row["holds"] == "True" for row in rows), len(rows)) for name, rows in groups.items()}
+    met, total = (sum(share[k] for share in shares.values()) for k in (0, 1))
+    return {"groups": groups, "shares": shares, "hint": f"{met} of {total} hold"}

@@ -13,7 +13,7 @@ from spotcheck.report.figures.entry import Category, Entry
 
 @cache
 def every_figure() -> tuple[Entry, ...]:
-    """Return the figures of all modules of this package, by category, then by file name."""
+    """Return the entries of all figures, sorted by category and within it by name of the module."""
     modules = [importlib.import_module(f"{__name__}.{module.name}") for module in pkgutil.iter_modules(__path__)]
     entries = [entry for module in modules for entry in getattr(module, "FIGURES", ())]
     return tuple(sorted(entries, key=lambda entry: list(Category).index(entry.category)))

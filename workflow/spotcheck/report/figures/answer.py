@@ -1,4 +1,9 @@
-"""Verdict in one picture: a measured spot, the declared and the extended model, and their residuals."""
+"""Verdict in one picture: a measured spot, the declared and the extended model, and their residuals.
+
+The declared model is that of the instrument file. The extended model also has the effects and the light shape that the
+verdict added; without additions there is none. The gap is the excess of the declared model's residuals over noise, on
+frames that were held out.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,19 +23,20 @@ from spotcheck.report.figures.entry import VERDICT, Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
 MEASURED = "measured"
-# Half the side of the shown part, in widths σ_g of the model.
+# Half the side of the shown part of the crop, in widths σ_g of the declared model.
 HALF_SIDE_WIDTHS = 3.0
 
 
 class ProfileLook(NamedTuple):
-    """Name of an image, and appearance of its profile."""
+    """Name of an image, and appearance of the line of its profile."""
 
     name: str  # name in titles and in the legend
     colour: str  # colour of the line
-    dashes: str | tuple  # line style
+    dashes: str | tuple  # Matplotlib line style
     width: float  # line width [pt]
 
 
+# Looks of the measured reading and of the models, in the order in which they are drawn.
 LOOKS = {
     MEASURED: ProfileLook("measured", style.MEASURED, "solid", 2.6),
     BEFORE: ProfileLook("model", style.SIMULATED, (0, (4, 2)), 1.2),
@@ -40,86 +46,96 @@ LOOKS = {
 
 @dataclass(frozen=True)
 class Example:
-    """A condition with its models; images are [block row, block column] in DN."""
+    """The condition to show, with its models.
 
-    name: str  # condition as text
+    A block is a square of pixels over which discrepancy.nc averages. Images are [block row, block column] in DN and NaN
+    without a usable pixel; models are named `BEFORE` (declared) and `AFTER` (extended).
+    """
+
+    name: str  # condition as text; "" if nothing was recorded
     measured: np.ndarray  # mean measured reading
-    models: dict[str, np.ndarray]  # mean reading of each model
-    residuals: dict[str, np.ndarray]  # measured less model
-    x: np.ndarray  # columns of the blocks from the spot's centre [px]
-    y: np.ndarray  # rows of the blocks from the spot's centre [px]
-    side: float  # side of a block [px]
-    half: float  # half the side of the shown part [px]
+    models: dict[str, np.ndarray]  # mean reading of each model, by name
+    residuals: dict[str, np.ndarray]  # measured less model, by name
+    x: np.ndarray  # columns of the centres of blocks from the spot's centre [px]
+    y: np.ndarray  # rows of the centres of blocks from the spot's centre [px]
+    block_side: float  # side of a block [px]
+    half_side: float  # half the side of the shown part [px]
 
     @property
     def images(self) -> dict[str, np.ndarray]:
-        """Measured reading and models."""
+        """Measured reading and reading of each model, by the keys of `LOOKS`."""
         return {MEASURED: self.measured, **self.models}
 
 
 def draw_answer(results: Results) -> style.Drawing:
-    """Draw the condition in which the effects reduce the residual most, or else that of the largest residual."""
+    """Draw measured spot, models and residuals of the condition that `choose_example` returns."""
     example, verdict = choose_example(results.get("discrepancy")), results.verdict()
     highest = max(float(np.nanmax(image)) for image in example.images.values())
-    end = max(float(np.nanpercentile(np.abs(image), COLOUR_PERCENTILE)) for image in example.residuals.values())
-    light, difference = Normalize(0.0, highest), Normalize(-end, end)
+    limit = max(float(np.nanpercentile(np.abs(image), COLOUR_PERCENTILE)) for image in example.residuals.values())
+    reading_norm, residual_norm = Normalize(0.0, highest), Normalize(-limit, limit)
     rows = len(example.models)
     figure = style.new_figure(2.5 * rows if rows > 1 else 2.3, 1.15 * style.WIDTH)
     panels = figure.subplots(rows, 3, squeeze=False)
+    # A single model leaves the last panel to its residual.
     for ax, (key, image) in zip(panels[0], example.images.items(), strict=False):
-        _draw_image(ax, example, image, LOOKS[key].name, light, style.IMAGE_MAP)
+        _draw_image(ax, example, image, LOOKS[key].name, reading_norm, style.IMAGE_MAP)
     # Residuals are below their models, or beside a single model.
     residual_panels = panels[1, 1:] if rows > 1 else panels[0, 2:]
     for ax, (key, image) in zip(residual_panels, example.residuals.items(), strict=True):
-        _draw_image(ax, example, image, f"measured − {LOOKS[key].name}", difference, style.DIVERGING_MAP)
+        _draw_image(ax, example, image, f"measured − {LOOKS[key].name}", residual_norm, style.DIVERGING_MAP)
     if rows > 1:
         _draw_profile(panels[1, 0], example)
         text = "\n".join(f"+ {effect['name']}" for effect in verdict["effects"])
         panels[0, 2].text(0.04, 0.04, text, transform=panels[0, 2].transAxes, color="white", fontsize=8)
-        figure.colorbar(ScalarMappable(light, style.IMAGE_MAP), ax=list(panels[0]), label="reading / DN", pad=0.01)
-    mapped = ScalarMappable(difference, style.DIVERGING_MAP)
+        mapped = ScalarMappable(reading_norm, style.IMAGE_MAP)
+        figure.colorbar(mapped, ax=list(panels[0]), label="reading / DN", pad=0.01)
+    mapped = ScalarMappable(residual_norm, style.DIVERGING_MAP)
     figure.colorbar(mapped, ax=list(panels[-1]), label="residual / DN", extend="both", pad=0.01)
-    return style.Drawing(figure, _caption(example, verdict, end))
+    return style.Drawing(figure, _write_caption(example, verdict, limit))
 
 
 def choose_example(ds: xr.Dataset) -> Example:
-    """Return the condition to show. Raises `Unavailable` if no condition has a residual."""
+    """Return the condition in which the extended model reduces the sum of squared residuals most.
+
+    Without an extended model, return the condition with the largest sum. `ds` is the content of discrepancy.nc. Raises
+    `Unavailable` if no condition has a residual.
+    """
     table, models = tabulate_conditions(ds), list_models(ds)
     residuals = {model: table.read(ds, f"residual_{model}") for model in models}
     squares = {model: np.nansum(image**2, axis=(2, 3)) for model, image in residuals.items()}
-    gain = squares[BEFORE] - squares.get(AFTER, 0.0)
-    at = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    shown = {model: image[at] for model, image in residuals.items()}
-    if not all(np.isfinite(image).any() for image in shown.values()):
+    reduction = squares[BEFORE] - squares.get(AFTER, 0.0)
+    row, column = np.unravel_index(int(np.argmax(reduction)), reduction.shape)
+    shown_residuals = {model: image[row, column] for model, image in residuals.items()}
+    if not all(np.isfinite(image).any() for image in shown_residuals.values()):
         raise Unavailable("no condition has a residual")
-    measured = table.read(ds, "reading")[at]
-    x0, y0, sigma = (float(table.read(ds, name)[at]) for name in ("spot_x", "spot_y", "sigma"))
+    measured = table.read(ds, "reading")[row, column]
+    x0, y0, sigma = (float(table.read(ds, name)[row, column]) for name in ("spot_x", "spot_y", "sigma"))
     x, y = ds["block_x"].values - x0, ds["block_y"].values - y0
-    half = min(HALF_SIDE_WIDTHS * sigma, float(np.abs([x[[0, -1]], y[[0, -1]]]).min()))
+    half_side = min(HALF_SIDE_WIDTHS * sigma, float(np.abs([x[[0, -1]], y[[0, -1]]]).min()))
     return Example(
-        name=", ".join(filter(None, (table.rows[at[0]], table.columns[at[1]]))),
+        name=", ".join(filter(None, (table.rows[row], table.columns[column]))),
         measured=measured,
-        models={model: measured - residual for model, residual in shown.items()},
-        residuals=shown,
+        models={model: measured - residual for model, residual in shown_residuals.items()},
+        residuals=shown_residuals,
         x=x,
         y=y,
-        side=float(x[1] - x[0]) if len(x) > 1 else 2 * half,
-        half=half,
+        block_side=float(x[1] - x[0]) if len(x) > 1 else 2 * half_side,
+        half_side=half_side,
     )
 
 
 def _draw_image(ax: Axes, example: Example, image: np.ndarray, title: str, norm: Normalize, cmap: str) -> None:
-    """Draw an image of blocks, with pixels from the spot's centre on both axes."""
-    x, y, step, half = example.x, example.y, example.side / 2, example.half
-    extent = (x[0] - step, x[-1] + step, y[-1] + step, y[0] - step)
+    """Draw an image of the example [block row, block column] over the distance from the spot's centre."""
+    x, y, margin, half = example.x, example.y, example.block_side / 2, example.half_side
+    extent = (x[0] - margin, x[-1] + margin, y[-1] + margin, y[0] - margin)
     style.show_image(ax, image, cmap, norm, extent, title=title, facecolor="0.85", xlabel="x / px", ylabel="y / px")
     ax.set(xlim=(-half, half), ylim=(half, -half))
     ax.label_outer()
 
 
 def _draw_profile(ax: Axes, example: Example) -> None:
-    """Draw the row of blocks through the centre."""
-    row, half = int(np.argmin(np.abs(example.y))), example.half
+    """Draw measured and modelled reading along the row of blocks through the spot's centre."""
+    row, half = int(np.argmin(np.abs(example.y))), example.half_side
     for key, image in example.images.items():
         name, colour, dashes, width = LOOKS[key]
         ax.plot(example.x, image[row], color=colour, linestyle=dashes, linewidth=width, label=name)
@@ -131,27 +147,29 @@ def _draw_profile(ax: Axes, example: Example) -> None:
     ax.set(xlabel="x / px", ylabel="reading / DN")
 
 
-def _caption(example: Example, verdict: dict[str, Any], end: float) -> str:
-    """Return the caption; `end` is the residual [DN] at which the colours end."""
+def _write_caption(example: Example, verdict: dict[str, Any], limit: float) -> str:
+    """Return the caption; `verdict` is verdict.json, `limit` the absolute residual [DN] at which the colours end."""
     condition = f" at {example.name}" if example.name else ""
     sentences = [
-        f"Spot{condition}: mean over its frames, in blocks of {example.side:g} px.",
-        f"Residuals are on one scale, which ends at ±{two_digits(end)} DN.",
+        f"Spot{condition}: mean over its frames, in blocks of {example.block_side:g} px.",
+        f"Residuals are on one scale, which ends at ±{two_digits(limit)} DN.",
         f"Verdict: {verdict['status'].replace('_', ' ')}.",
     ]
     effects, gap = verdict["effects"], verdict["gap"]
     if effects:
         sentences.append(f"Added to the model: {'; '.join(_effect_text(effect) for effect in effects)}.")
+    # Rivals are other effects that explain the frames about as well as an added one.
     rivals = [rival["name"] for effect in effects for rival in effect["evidence"]["rivals"]]
     if rivals:
         sentences.append(f"The frames do not distinguish it from {' or '.join(rivals)}.")
+    # An extended model may fit slightly better than the noise allows; the text stops at 100 %.
     if effects and gap["closed"] is not None:
         sentences.append(f"That closes {percent_text(min(gap['closed'], 1.0))} of the gap on {gap['on']}.")
     return " ".join(sentences)
 
 
 def _effect_text(effect: dict[str, Any]) -> str:
-    """Return the name of an effect with its parameters."""
+    """Return the name of an effect of verdict.json, with its parameters in brackets if it has any."""
     parameters = ", ".join(
         f"{key} {quantity_text(parameter['value'], parameter['stderr'], parameter['unit'])}"
         for key, parameter in effect["parameters"].items()

@@ -1,4 +1,7 @@
-"""Fig. 13: Cramér–Rao bounds of the photons on the brightest pixel and of the width of the spot."""
+"""Fig. 13: Cramér–Rao bounds of the photons on the brightest pixel and of the width of the spot.
+
+p1 and p2 are the parameters of the law that gives the spot's width at an exposure (Eq. 8 of the paper).
+"""
 
 from typing import NamedTuple
 
@@ -11,75 +14,78 @@ from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
 
-class LawLook(NamedTuple):
+class NoiseLook(NamedTuple):
     """Appearance of the bound under one noise model."""
 
     colour: str  # colour of the line
-    dashes: tuple  # dashes of the line
+    dashes: tuple  # Matplotlib line style
     style_name: str  # name of the dashes in the caption
     label: str  # name of the noise model in the legend
 
 
+# Looks by noise model, a coordinate `law` of bounds.nc.
 LOOKS = {
-    "poisson_gauss": LawLook("#000000", (0, ()), "Solid", "electrons, with read noise"),
-    "poisson": LawLook("#0072B2", (0, (5, 2)), "dashed", "electrons, Poisson alone"),
-    "dn": LawLook("#D55E00", (0, (1.2, 1.6)), "dotted", "mean in DN as Poisson"),
+    "poisson_gauss": NoiseLook("#000000", (0, ()), "Solid", "electrons, with read noise"),
+    "poisson": NoiseLook("#0072B2", (0, (5, 2)), "dashed", "electrons, Poisson alone"),
+    "dn": NoiseLook("#D55E00", (0, (1.2, 1.6)), "dotted", "mean in DN as Poisson"),
 }
 
 
 class Abscissa(NamedTuple):
     """Abscissa of the bounds."""
 
-    name: str  # end of the names of the variables: "exposure" or "photons"
-    values: np.ndarray  # values at which the bounds were computed
-    marks: np.ndarray  # values at the exposures of the dataset
-    label: str  # label of the axis
+    name: str  # end of the names of the variables in bounds.nc: "exposure" or "photons"
+    values: np.ndarray  # values at which the bounds were computed [point], in the unit of the label
+    marks: np.ndarray  # values at the exposures of the dataset, in the unit of the label
+    label: str  # label of the axis with unit
 
 
 def draw_over_exposure(results: Results) -> style.Drawing:
-    """Draw Fig. 13a: bounds over the exposure time."""
+    """Draw Fig. 13a: bounds over the exposure time. Raises `Unavailable` if no bound is finite."""
     ds = results.get("bounds")
     factor, unit = style.choose_unit(results.exposures(), "s")
     label = style.axis_label("exposure time $t$", unit)
     x = Abscissa("exposure", ds["fine_exposure"].values * factor, results.exposures() * factor, label)
-    conditions = ("along the calibrated p1 and p2", "exposure times")
-    return _draw_bounds(results, ds, x, *conditions)
+    return _draw_bounds(results, ds, x, fixed="along the calibrated p1 and p2", marked="exposure times")
 
 
 def draw_over_photons(results: Results) -> style.Drawing:
-    """Draw Fig. 13b: bounds over the photons on the brightest pixel."""
+    """Draw Fig. 13b: bounds over the photons on the brightest pixel. Raises `Unavailable` if no bound is finite."""
     ds = results.get("bounds")
     log_exposure = np.log(ds["fine_exposure"].values)
     marks = np.interp(np.log(results.exposures()), log_exposure, ds["peak_photons"].values)
     x = Abscissa("photons", ds["photons"].values, marks, "photons on the brightest pixel $\\mu_{p,max}$")
-    conditions = ("at the width of the middle exposure", "peaks at its exposure times")
-    return _draw_bounds(results, ds, x, *conditions)
+    fixed, marked = "at the width of the middle exposure", "peaks at its exposure times"
+    return _draw_bounds(results, ds, x, fixed=fixed, marked=marked)
 
 
-def _draw_bounds(results: Results, ds: xr.Dataset, x: Abscissa, fixed: str, marked: str) -> style.Drawing:
-    """Draw the bounds; `fixed` and `marked` are parts of the caption."""
+def _draw_bounds(results: Results, ds: xr.Dataset, x: Abscissa, *, fixed: str, marked: str) -> style.Drawing:
+    """Draw the bounds of peak and width over `x`; `ds` is the content of bounds.nc.
+
+    `fixed` and `marked` are parts of the caption: the law or width that is held fixed, and the meaning of the marks.
+    """
     pitch = float(ds["pixel_pitch"])
-    in_metres = np.isfinite(pitch)
-    unit = "m²" if in_metres else "px²"
+    has_pitch = np.isfinite(pitch)
+    unit = "m²" if has_pitch else "px²"
     laws = [str(name) for name in ds["law"].values]
     figure = style.new_figure(3.4)
     panels = figure.subplots(1, 2)
+    looks = [LOOKS[law] for law in laws]
     handles: list = []
-    ranges = []
+    ranges = []  # range of each bound as text
     for ax, parameter in zip(panels, ("peak", "sigma"), strict=True):
         values = ds[f"var_{parameter}_over_{x.name}"].transpose(..., "law").values
         if not np.isfinite(values).any():
             raise Unavailable("no bound is finite")
-        if parameter == "sigma" and in_metres:
+        if parameter == "sigma" and has_pitch:
             values = values * pitch**2
-        in_electrons = values[:, [law != "dn" for law in laws]]
-        ranges.append(f"{two_digits(np.nanmin(in_electrons))} to {two_digits(np.nanmax(in_electrons))}")
+        electron_bounds = values[:, [law != "dn" for law in laws]]
+        ranges.append(f"{two_digits(np.nanmin(electron_bounds))} to {two_digits(np.nanmax(electron_bounds))}")
         for mark in x.marks:
             ax.axvline(mark, color="0.75", linewidth=3.0, zorder=1)
-        looks = [LOOKS[law] for law in laws]
         handles = [
-            ax.plot(x.values, column, color=look.colour, linestyle=look.dashes, linewidth=1.6)[0]
-            for column, look in zip(values.T, looks, strict=True)
+            ax.plot(x.values, bound, color=look.colour, linestyle=look.dashes, linewidth=1.6)[0]
+            for bound, look in zip(values.T, looks, strict=True)
         ]
         ax.set(xscale="log", yscale="log", xlabel=x.label)
         # Whole decades, since an axis of less than one has many long numbers: 2 · 10⁻¹⁶, 3 · 10⁻¹⁶, …
@@ -87,7 +93,7 @@ def _draw_bounds(results: Results, ds: xr.Dataset, x: Abscissa, fixed: str, mark
         ax.set_ylim(10 ** np.floor(np.log10(finite.min())), 10 ** np.ceil(np.log10(finite.max())))
     panels[0].set_ylabel("bound Var($\\mu_{p,max}$) / photons²")
     panels[1].set_ylabel(f"bound Var($\\sigma_g$) / {unit}")
-    style.add_legend(figure, handles, [LOOKS[law].label for law in laws], 3)
+    style.add_legend(figure, handles, [look.label for look in looks], 3)
     law_text = "; ".join(f"{LOOKS[law].style_name}: {ds.attrs[f'law_{law}']}" for law in laws)
     caption = (
         f"Smallest variance that an unbiased estimate of one frame can have, {fixed}: photons on the brightest pixel"

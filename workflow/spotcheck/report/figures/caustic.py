@@ -1,4 +1,8 @@
-"""Caustic: beam radius over distance with fitted hyperbolas."""
+"""Caustic of the beam: 1/e² radius over distance, with fitted hyperbolas.
+
+The beam has two axes, x and y. They are the principal axes if the frames determine their direction, the azimuth; else
+they are the axes of the image. The third one, "mean", is the mean of both.
+"""
 
 import numpy as np
 import xarray as xr
@@ -9,6 +13,9 @@ from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
 
+CURVE_POINTS = 200
+# The curves reach beyond the outermost points by this fraction of their distance.
+CURVE_MARGIN = 0.06
 # Colour, marker and line style of each axis of the beam.
 LOOKS = {
     "x": (style.MEASURED, "o", style.DASHED),
@@ -18,13 +25,17 @@ LOOKS = {
 
 
 def draw_caustic(results: Results) -> style.Drawing:
-    """Draw the radii along the axes of the beam, and their mean if it is round, with hyperbolas and residuals."""
+    """Draw the radii along the axes of the beam with hyperbolas and residuals.
+
+    The mean of both axes is drawn as well if the frames do not determine the azimuth.
+    """
     ds = results.get("caustic")
     z_factor, z_unit = style.choose_unit(ds[CONDITION].values, "m")
     radii = ds["beam_radius"].values
     w_factor, w_unit = style.choose_unit(radii[np.isfinite(radii)].min(), "m")
     z = ds[CONDITION].broadcast_like(ds["beam_radius"].isel(axis=0)).values.ravel()
-    fine_z = np.linspace(z.min() - 0.06 * np.ptp(z), z.max() + 0.06 * np.ptp(z), 200)
+    margin = CURVE_MARGIN * np.ptp(z)
+    curve_z = np.linspace(z.min() - margin, z.max() + margin, CURVE_POINTS)
     figure = style.new_figure(4.3)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     handles, labels = [], []
@@ -34,12 +45,13 @@ def draw_caustic(results: Results) -> style.Drawing:
         beam = ds.sel(axis=name)
         colour, marker, dashes = LOOKS[name]
         hyperbola = _read_hyperbola(beam)
-        curve, stderr = hyperbola.radius(fine_z)
-        error = compute_interval_half_width(stderr, hyperbola.degrees)
-        (line,) = upper.plot(fine_z * z_factor, curve * w_factor, color=colour, linestyle=dashes)
+        curve, stderr = hyperbola.radius(curve_z)
+        half_interval = compute_interval_half_width(stderr, hyperbola.degrees)
+        (line,) = upper.plot(curve_z * z_factor, curve * w_factor, color=colour, linestyle=dashes)
+        # Without an azimuth only the mean describes the beam, so that only its interval is shown.
         if has_azimuth or name == "mean":
-            low, high = (curve - error) * w_factor, (curve + error) * w_factor
-            upper.fill_between(fine_z * z_factor, low, high, color=colour, alpha=0.15, linewidth=0)
+            low, high = (curve - half_interval) * w_factor, (curve + half_interval) * w_factor
+            upper.fill_between(curve_z * z_factor, low, high, color=colour, alpha=0.15, linewidth=0)
         radius = beam["beam_radius"].values.ravel()
         radius_error = np.hypot(beam["beam_radius_stderr"].values.ravel(), hyperbola.scatter * radius)
         look = {"fmt": marker, "color": colour, "markerfacecolor": "white", "markersize": 5, "elinewidth": 1}
@@ -54,25 +66,26 @@ def draw_caustic(results: Results) -> style.Drawing:
     upper.set_ylabel(style.axis_label("beam radius $w$", w_unit))
     upper.set_ylim(bottom=0)
     style.add_legend(figure, handles, labels, len(names))
-    return style.Drawing(figure, _caption(ds, z_factor, z_unit))
+    return style.Drawing(figure, _write_caption(ds))
 
 
 def _read_hyperbola(beam: xr.Dataset) -> Hyperbola:
-    """Return the fitted hyperbola of one axis of the beam."""
+    """Return the fitted hyperbola of one axis of the beam; `beam` is caustic.nc at that axis."""
     return Hyperbola(
-        float(beam["origin"]),
-        beam["coefficient"].values,
-        beam["coefficient_covariance"].values,
-        float(beam["scatter"]),
-        float(beam["chi2_reduced"]),
-        int(beam["degrees_of_freedom"]),
+        origin=float(beam["origin"]),
+        coefficients=beam["coefficient"].values,
+        covariance=beam["coefficient_covariance"].values,
+        scatter=float(beam["scatter"]),
+        chi2_reduced=float(beam["chi2_reduced"]),
+        degrees=int(beam["degrees_of_freedom"]),
     )
 
 
-def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
-    """Return the caption; `z_factor` converts m to the unit of the distance."""
-    beams = select_beam_rows(ds)
-    scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beams.values())
+def _write_caption(ds: xr.Dataset) -> str:
+    """Return the caption; `ds` is the content of caustic.nc."""
+    # caustic.nc at both axes if the azimuth is known, else only at their mean; by the name of the axis as text.
+    beam_by_name = select_beam_rows(ds)
+    scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beam_by_name.values())
     azimuth = quantity_text(float(ds["azimuth"]), float(ds["azimuth_stderr"]))
     direction = (
         f"The beam's axes lie at ({azimuth})° and across it, from +x towards +y, in all frames"
@@ -91,17 +104,18 @@ def _caption(ds: xr.Dataset, z_factor: float, z_unit: str) -> str:
         f" error of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius). Grey:"
         " 68 % interval of the hyperbola."
     )
-    sentences = [_beam_text(name, beam) for name, beam in beams.items()]
+    sentences = [_beam_text(name, beam) for name, beam in beam_by_name.items()]
     end = "The standard asks for ten positions, half of them near the waist and half far."
     return " ".join([text, *sentences, end])
 
 
 def _beam_text(name: str, beam: xr.Dataset) -> str:
-    """Return the quantities of one hyperbola as a sentence."""
+    """Return the quantities of the beam along one axis as a sentence; `name` is that axis as text."""
     name = name[0].upper() + name[1:]
     if not np.isfinite(float(beam["m2"])):
         return f"{name}: the fitted hyperbola has no waist; the points do not constrain one."
     near, far, total = (int(beam[key]) for key in ("positions_near", "positions_far", "positions"))
+    # More than three standard errors below 1.
     warning = (
         " M² cannot be below 1: the fitted Gaussians ignore light in the wings, or the radii scatter too much."
         if float(beam["m2"] + 3 * beam["m2_stderr"]) < 1
@@ -118,7 +132,7 @@ def _beam_text(name: str, beam: xr.Dataset) -> str:
 
 
 def _quantity_text(beam: xr.Dataset, name: str, unit: str = "1") -> str:
-    """Return a quantity ± its standard error, from a value in the unit."""
+    """Return a variable of caustic.nc, stored in `unit`, with its standard error as text."""
     return quantity_text(float(beam[name]), float(beam[f"{name}_stderr"]), unit)
 
 

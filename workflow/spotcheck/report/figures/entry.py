@@ -1,4 +1,4 @@
-"""Entry of a figure in the report."""
+"""Entry of a figure: its name, title, group in the report, required results and drawing function."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,12 +30,13 @@ class Entry:
     name: str  # file name without suffix
     title: str  # heading
     category: Category  # group in the report
-    needs: tuple[str, ...]  # results that the figure reads, by name without suffix
-    draw: Callable[[Results], Drawing]  # drawing function
+    needs: tuple[str, ...]  # netCDF results that must exist, as paths in the results folder without suffix
+    draw: Callable[[Results], Drawing]  # drawing function; raises `Unavailable` if the results do not support it
     paper: str | None = None  # corresponding figure of the paper, such as "Fig. 7"; None if there is none
 
 
-# Results that several families need: measured and simulated frames, their metrics, the data of a verdict.
-PAIR = ("crops", "fits", "simulated/crops", "simulated/fits")
-METRICS = ("metrics", "simulated")
-VERDICT = ("discrepancy",)
+# Values of `Entry.needs` that several modules share.
+FRAMES = ("crops", "fits", "simulated")  # measured frames with their fitted spots, and mean simulated light
+PAIR = ("crops", "fits", "simulated/crops", "simulated/fits")  # measured and simulated frames with their fitted spots
+METRICS = ("metrics", "simulated")  # quality metrics of the frames, and the simulation
+VERDICT = ("discrepancy",)  # residuals on which the verdict is based

@@ -1,4 +1,8 @@
-"""Measured frames with their fitted spots and simulated counterparts."""
+"""Measured frames with their fitted spots and simulated counterparts.
+
+Frames lie on a grid with the dimensions angle, exposure and repeat and one for each declared condition. An index of the
+grid maps each dimension to the number of a value.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,46 +21,50 @@ from spotcheck.report.figures.results import Results, Unavailable
 
 @dataclass(frozen=True)
 class FittedSpot:
-    """Fitted Gaussian in a crop."""
+    """Gaussian fitted to the spot in a crop."""
 
-    row: float  # row of the centre [px]
-    column: float  # column of the centre [px]
+    row: float  # row of the centre in the crop [px]
+    column: float  # column of the centre in the crop [px]
     major: float  # σ of the long axis [px]
     minor: float  # σ of the short axis [px]
-    direction: float  # direction of the long axis [rad]
+    direction: float  # direction of the long axis, from +x (columns) towards +y (rows, downwards) [rad]
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance [(x, y), (x, y)] of the Gaussian in px²."""
+        """Covariance matrix [2, 2] of the Gaussian in the order x, y [px²]."""
         c, s = np.cos(self.direction), np.sin(self.direction)
         rotation = np.array([[c, -s], [s, c]])
         return rotation @ np.diag([self.major**2, self.minor**2]) @ rotation.T
 
 
 class FittedFrame(NamedTuple):
-    """A light-centred crop with its fitted spot."""
+    """A crop that is centred on the light, with its fitted spot."""
 
-    image: np.ndarray  # reading [y, x] in DN
+    image: np.ndarray  # readings [y, x] in DN; NaN where a pixel is masked
     spot: FittedSpot  # fitted spot
 
 
 def read_frame(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> FittedFrame | None:
-    """Return the frame at an index of the grid; None without a usable crop or a trusted fit."""
+    """Return the frame at an index of the grid; None without a usable crop or a trusted fit.
+
+    `crops` and `fits` are crops.nc and fits.nc of the measured or of the simulated frames.
+    """
     crop, fit = crops.sel(centring="light").isel(index), select_preferred_fits(fits).isel(index)
     names = ("y_centre", "x_centre", "sigma_major", "sigma_minor", "orientation")
     row, column, major, minor, direction = (float(fit[name]) for name in names)
     has_fit = np.isfinite([row, column, major, minor, direction]).all() and not int(fit["status"]) & store.UNTRUSTED
     if not has_fit or not is_usable(int(crop["status"])):
         return None
+    # fits.nc has centres on the sensor and directions in degrees.
     spot = FittedSpot(row - int(crop["top"]), column - int(crop["left"]), major, minor, np.radians(direction))
     return FittedFrame(crop["image"].values.astype(float), spot)
 
 
 def predict_reading(results: Results, index: dict[str, int], spot: FittedSpot) -> np.ndarray:
-    """Return the mean simulated reading [y, x] in DN at an index of the grid, centred on a measured spot."""
+    """Return the mean simulated reading [y, x] in DN at an index of the grid, centred on the measured `spot`."""
     simulated = results.get("simulated")
     light = simulated["mean_light"].isel(index).values.astype(float)
-    # Beyond the simulated crop the light is negligible; NaN would spread into its edge.
+    # The shift leaves NaN at an edge that the simulated crop does not cover; the light there is negligible.
     light = np.nan_to_num(shift_image(light, spot.row - light.shape[0] // 2, spot.column - light.shape[1] // 2))
     exposure = float(simulated["exposure"][index["exposure"]]) if "exposure" in simulated.coords else None
     return results.mean_reading(np.maximum(light, 0.0), exposure)
@@ -68,49 +76,49 @@ def iterate_frames(results: Results, fixed: dict[str, int]) -> Iterator[tuple[Fi
     Parameters
     ----------
     results : Results
-        The results.
+        Results with crops.nc, fits.nc and simulated.nc.
     fixed : dict of str to int
-        Index on some dimensions of the grid; frames vary over the other dimensions.
+        Index of some dimensions of the grid; all frames with this index are read.
     """
     crops, fits = results.get("crops"), results.get("fits")
-    free = [dim for dim in store.grid_dims(crops) if dim not in fixed]
-    for at in np.ndindex(*(crops.sizes[dim] for dim in free)):
-        index = fixed | dict(zip(free, at, strict=True))
+    other_dims = [dim for dim in store.grid_dims(crops) if dim not in fixed]
+    for numbers in np.ndindex(*(crops.sizes[dim] for dim in other_dims)):
+        index = fixed | dict(zip(other_dims, numbers, strict=True))
         if frame := read_frame(crops, fits, index):
             yield frame, predict_reading(results, index, frame.spot)
 
 
 class FramePair(NamedTuple):
-    """A measured and a simulated frame at the same conditions."""
+    """A measured and a simulated frame at the same index of the grid."""
 
     measured: FittedFrame  # measured frame
-    simulated: FittedFrame  # random simulated frame
-    name: str  # conditions as text
+    simulated: FittedFrame  # simulated frame with random noise
+    name: str  # conditions as text; "" if none were recorded
 
 
 def find_pair(results: Results) -> FramePair:
-    """Return the first usable pair of frames: longest exposure, first angle, first repeat, first conditions.
+    """Return the first pair of frames that are both usable, from the longest exposure and the first angle on.
 
-    Raises `Unavailable` if there is none.
+    Declared conditions vary fastest, then repeats, angles and exposures. Raises `Unavailable` if there is no pair.
     """
-    files = [[results.get(f"{folder}{name}") for name in ("crops", "fits")] for folder in ("", "simulated/")]
-    measured_crops = files[0][0]
-    dims = store.grid_dims(measured_crops)
-    order = ("exposure", "angle", "repeat", *(dim for dim in dims if dim not in ("exposure", "angle", "repeat")))
-    for at in np.ndindex(*(measured_crops.sizes[dim] for dim in order)):
-        index = dict(zip(order, at, strict=True))
-        index["exposure"] = measured_crops.sizes["exposure"] - 1 - index["exposure"]
-        measured, simulated = (read_frame(crops, fits, index) for crops, fits in files)
+    crops, fits = results.get("crops"), results.get("fits")
+    simulated_crops, simulated_fits = results.get("simulated/crops"), results.get("simulated/fits")
+    dims = ("exposure", "angle", "repeat", *(dim for dim in store.grid_dims(crops) if dim not in series.UNITS))
+    for numbers in np.ndindex(*(crops.sizes[dim] for dim in dims)):
+        index = dict(zip(dims, numbers, strict=True))
+        index["exposure"] = crops.sizes["exposure"] - 1 - index["exposure"]
+        measured, simulated = read_frame(crops, fits, index), read_frame(simulated_crops, simulated_fits, index)
         if measured and simulated:
-            return FramePair(measured, simulated, _named_conditions(measured_crops, index))
+            return FramePair(measured, simulated, _describe_conditions(crops, index))
     raise Unavailable("no cell of the grid has a usable measured and simulated frame")
 
 
-def _named_conditions(ds: xr.Dataset, index: dict[str, int]) -> str:
-    """Return each recorded condition with the name of its axis as text."""
-    parts = []
+def _describe_conditions(ds: xr.Dataset, index: dict[str, int]) -> str:
+    """Return the recorded conditions at an index with their names as text: `exposure time t 500 µs, repeat 0`."""
+    descriptions = []
     for dim, k in index.items():
         if dim in ds.coords:
             values, unit, _ = series.axis_values(ds, dim)
-            parts.append(f"{style.axis_name(dim)} {style.format_value(values[k], unit)}".replace("$", ""))
-    return ", ".join(parts)
+            # Captions are plain text, without the marks of mathematical text.
+            descriptions.append(f"{style.axis_name(dim)} {style.format_value(values[k], unit)}".replace("$", ""))
+    return ", ".join(descriptions)

@@ -12,23 +12,26 @@ from spotcheck.report.figures.entry import PAIR, Category, Entry
 from spotcheck.report.figures.frame_pairs import FramePair, find_pair
 from spotcheck.report.figures.results import Results
 
-# Half the side of the enlarged part, in fitted widths.
-ENLARGED_WIDTHS = 3.5
-# A part larger than this fraction of the crop is not enlarged.
+# Half the side of the enlarged part of the crop, in fitted widths, and its smallest value [px].
+ENLARGED_WIDTHS, MIN_HALF_SIDE = 3.5, 8
+# A part that is wider than this fraction of the crop is not enlarged.
 MAX_ENLARGED_FRACTION = 0.75
-# Contour levels as fractions of the simulated maximum, and σ of the Gaussian filter that suppresses noise.
+# Contour levels as fractions of the simulated maximum, and σ of the Gaussian filter that suppresses noise [px].
 LEVELS = (0.2, 0.5, 0.8)
 SMOOTH_PX = 1.5
 
 
 def half_side(pair: FramePair) -> int:
-    """Return half the side of the enlarged part [px], which fits into the crop."""
-    largest_width = max(pair.measured.spot.major, pair.simulated.spot.major)
-    return int(min(max(np.ceil(ENLARGED_WIDTHS * largest_width), 8), min(pair.measured.image.shape) // 2 - 1))
+    """Return half the side [px] of the part of the crop around both spots; it fits into the crop."""
+    width = max(pair.measured.spot.major, pair.simulated.spot.major)
+    return int(min(max(np.ceil(ENLARGED_WIDTHS * width), MIN_HALF_SIDE), min(pair.measured.image.shape) // 2 - 1))
 
 
 def draw_frame(results: Results, source: str) -> style.Drawing:
-    """Draw Fig. 8a or 8b: the "Simulated" or "Measured" frame of the longest exposure, on one colour scale."""
+    """Draw Fig. 8a (`source` "Simulated") or 8b ("Measured"): a frame of the longest exposure.
+
+    Both figures have the same colour scale. The surroundings of the spot are enlarged if it is small.
+    """
     pair = find_pair(results)
     image, spot = pair.measured if source == "Measured" else pair.simulated
     images = np.array([pair.measured.image, pair.simulated.image])
@@ -37,14 +40,14 @@ def draw_frame(results: Results, source: str) -> style.Drawing:
     figure = style.new_figure(3.0 if is_enlarged else 4.2)
     panels = list(figure.subplots(1, 2)) if is_enlarged else [figure.add_subplot()]
     for ax in panels:
-        shown = style.show_image(ax, image, style.IMAGE_MAP, norm)
+        artist = style.show_image(ax, image, style.IMAGE_MAP, norm)
         ax.set(xlabel="column of the crop / px", ylabel="row of the crop / px")
     if is_enlarged:
         left, top = round(spot.column) - half - 0.5, round(spot.row) - half - 0.5
         side = 2 * half + 1
         panels[0].add_patch(Rectangle((left, top), side, side, fill=False, edgecolor="white", linewidth=0.8))
         panels[1].set(xlim=(left, left + side), ylim=(top + side, top))
-    figure.colorbar(shown, ax=panels, label="reading / DN", shrink=0.9, pad=0.02)
+    figure.colorbar(artist, ax=panels, label="reading / DN", shrink=0.9, pad=0.02)
     caption = (
         f"{source} frame ({pair.name}): the crop of {image.shape[1]} × {image.shape[0]} px centred on the light"
         f"{', and the marked part enlarged' if is_enlarged else ''}. Measured and simulated frame share one colour"
@@ -65,11 +68,12 @@ def draw_superposition(results: Results) -> style.Drawing:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.05, 1.0))
     overlay = figure.add_subplot(grid[:, 0])
     profiles = [figure.add_subplot(grid[k, 1]) for k in range(2)]
-    smooth = [ndimage.gaussian_filter(np.nan_to_num(image), SMOOTH_PX) for image, _ in pair[:2]]
-    levels = [fraction * float(np.nanmax(smooth[1])) for fraction in LEVELS]
+    frames = (pair.measured, pair.simulated)
+    smooth_images = [ndimage.gaussian_filter(np.nan_to_num(image), SMOOTH_PX) for image, _ in frames]
+    levels = [fraction * float(np.nanmax(smooth_images[1])) for fraction in LEVELS]
     handles = []
-    styles = ((style.MEASURED, "solid"), (style.SIMULATED, style.DASHED))
-    for (image, spot), smooth_image, (colour, dashes) in zip(pair[:2], smooth, styles, strict=True):
+    looks = ((style.MEASURED, "solid"), (style.SIMULATED, style.DASHED))
+    for (image, spot), smooth_image, (colour, dashes) in zip(frames, smooth_images, looks, strict=True):
         y, x = np.arange(image.shape[0]) - spot.row, np.arange(image.shape[1]) - spot.column
         overlay.contour(x, y, smooth_image, levels=levels, colors=[colour], linestyles=[dashes], linewidths=1.3)
         handles.append(profiles[0].plot(x, image[round(spot.row)], color=colour, linestyle=dashes)[0])

@@ -1,4 +1,9 @@
-"""Shape of the light: declared, learned, and their difference."""
+"""Shape of the light: declared, learned, and their difference.
+
+The declared shape is that of the instrument file. The learned one was fitted to the frames where the declared one did
+not explain them. Shapes are functions of u and v: column and row from the spot's centre in widths σ_g of the declared
+shape.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -15,41 +20,45 @@ from spotcheck.report.figures.results import Results
 
 # Half the side of the shown part [σ_g]; outside of it even a Gaussian with wings has no visible light.
 HALF_SIDE = 4.0
-# Smallest light on the logarithmic ordinate [peak].
+# Smallest light on the logarithmic ordinate, as a fraction of the peak.
 MIN_LIGHT = 1e-4
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Declared and learned shape of a light on a grid, relative to the peak of the declared shape."""
+    """Declared and learned shape of a light on a square grid, as fractions of the peak of the declared Gaussian."""
 
-    places: np.ndarray  # u of the columns and v of the rows [σ_g]
+    places: np.ndarray  # u of the columns, which equals v of the rows [σ_g]
     declared: np.ndarray  # declared shape [row, column]
     learned: np.ndarray  # learned shape [row, column]
 
 
 def compare_shapes(ds: xr.Dataset, dataset: Dataset) -> Shapes:
-    """Return the shapes of light.nc and of the instrument; of several lights, the one that differs most."""
+    """Return the learned shape of light.nc and the declared one of the dataset's instrument file.
+
+    If there is a learned shape for each of several poses of the beam, the one that differs most is returned.
+    """
     is_shown = np.abs(ds["u"].values) <= HALF_SIDE
     places = ds["u"].values[is_shown]
     lights = ds["s"].values[:, is_shown][:, :, is_shown]
     u, v = places[None, :], places[:, None]
     baseline = of_instrument(dataset.instrument, dataset.exposures)
-    # A learned shape replaces a profile of the instrument.
-    plain, declared = (model.spot(u, v, 1.0, 1.0) for model in (replace(baseline, learned=None), baseline))
-    differences = plain + lights - declared
-    return Shapes(places, declared, declared + differences[int(np.abs(differences).sum(axis=(1, 2)).argmax())])
+    # light.nc has what is added to the Gaussian or top hat, in place of a profile that the instrument file declares.
+    plain_shape, declared = (model.spot(u, v, 1.0, 1.0) for model in (replace(baseline, learned=None), baseline))
+    differences = plain_shape + lights - declared
+    largest = int(np.abs(differences).sum(axis=(1, 2)).argmax())
+    return Shapes(places, declared, declared + differences[largest])
 
 
 def draw_shapes(results: Results) -> style.Drawing:
-    """Draw both shapes, their difference, and profiles through the centre."""
+    """Draw declared and learned shape of the light, their difference, and profiles through the centre."""
     ds = results.get("light")
     shapes = compare_shapes(ds, results.dataset)
     u, declared, learned = shapes.places, shapes.declared, shapes.learned
     difference = 100 * (learned - declared)
-    end = float(np.abs(difference).max())
+    limit = float(np.abs(difference).max())
     light_norm = Normalize(0.0, float(max(declared.max(), learned.max())))
-    difference_norm = Normalize(-end, end)
+    difference_norm = Normalize(-limit, limit)
     figure = style.new_figure(4.6, 1.05 * style.WIDTH)
     upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.25, 1.0))[:, 0]
     panels = upper.subplots(1, 3, sharey=True)
@@ -65,10 +74,11 @@ def draw_shapes(results: Results) -> style.Drawing:
     upper.colorbar(mapped, ax=list(panels), label="% of the peak", aspect=18)
     middle = len(u) // 2
     left, right = lower.subplots(1, 2, sharey=True)
-    for ax, name, at in ((left, "u", (middle, slice(None))), (right, "v", (slice(None), middle))):
-        ax.semilogy(u, np.maximum(learned[at], MIN_LIGHT), color=style.MEASURED, label="learned")
-        dashed = {"color": style.SIMULATED, "linestyle": (0, (4, 2))}
-        ax.semilogy(u, np.maximum(declared[at], MIN_LIGHT), label="declared", **dashed)
+    declared_look = {"color": style.SIMULATED, "linestyle": (0, (4, 2)), "label": "declared"}
+    # Profiles along the row and along the column through the centre; the grid is the same for both.
+    for ax, name, line in ((left, "u", (middle, slice(None))), (right, "v", (slice(None), middle))):
+        ax.semilogy(u, np.maximum(learned[line], MIN_LIGHT), color=style.MEASURED, label="learned")
+        ax.semilogy(u, np.maximum(declared[line], MIN_LIGHT), **declared_look)
         ax.set(xlabel=f"{name} / $\\sigma_g$", ylim=(MIN_LIGHT, 2.0))
     left.set_ylabel("light / peak")
     left.legend(loc="upper right")

@@ -1,4 +1,7 @@
-"""Figs. 9–12: quality metrics of measured and simulated frames, and metrics that the paper does not show."""
+"""Figs. 9–12: quality metrics of measured and simulated frames, and metrics that the paper does not show.
+
+A law gives the width of the spot at each exposure. Without one, each frame is simulated with its own fitted parameters.
+"""
 
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +18,7 @@ from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import METRICS, Category, Entry
 from spotcheck.report.figures.results import Results
 
-# Exposures of one width agree within this [px].
+# Simulated widths of one exposure count as equal within this difference [px].
 WIDTH_TOLERANCE = 1e-9
 
 
@@ -24,37 +27,41 @@ class MetricPlot:
     """A metric that is drawn."""
 
     metric: str  # variable of metrics.nc
-    label: str  # label of the ordinate; {tens} stands for a power of ten
-    meaning: str  # start of the caption
-    note: str = ""  # what the paper prints; "" if it does not show the metric
+    label: str  # label of the ordinate with unit; {tens} stands for the power of ten by which values are divided
+    meaning: str  # definition of the metric, the start of the caption
+    note: str = ""  # numbers in print, for comparison; "" if the paper does not show the metric
 
 
 def follows_law(results: Results) -> bool:
-    """Return whether all simulated frames of an exposure have one width, that of a law."""
+    """Return whether all simulated frames of an exposure have the same width, which a law gives."""
     simulated = results.get("simulated")
     if str(simulated.attrs.get("calibration", "")).startswith("none"):
         return False
     sigma = simulated["sigma"].transpose("exposure", ...).values.reshape(simulated.sizes["exposure"], -1)
-    widths = (row[np.isfinite(row)] for row in sigma)
-    return all(np.ptp(row) < WIDTH_TOLERANCE for row in widths if row.size)
+    widths_by_exposure = (row[np.isfinite(row)] for row in sigma)
+    return all(np.ptp(widths) < WIDTH_TOLERANCE for widths in widths_by_exposure if widths.size)
 
 
 def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
-    """Draw a metric of measured frames with error bars, and of simulated frames dashed in the same colour."""
+    """Draw a metric of measured frames with error bars, and of simulated frames dashed in the same colour.
+
+    Raises `Unavailable` if no measured frame has a value.
+    """
     metrics = results.get("metrics")
     # The paper uses least squares; its numbers are comparable with that fit only.
     fit = "least_squares" if results.has_paper_design() else metrics.attrs["preferred"]
     ds = metrics.sel(centring="light", fit=fit)
     axes = series.choose_axes(ds, store.grid_dims(metrics))
-    values, left_out = ds[plot.metric], 0
+    values, untrusted_count = ds[plot.metric], 0
     if plot.metric in FIT_PARAMETERS:
         values = values.where((ds["status"] & store.UNTRUSTED) == 0)
-        left_out = int((ds[plot.metric].notnull() & values.isnull()).sel(source="measured").sum())
+        untrusted_count = int((ds[plot.metric].notnull() & values.isnull()).sel(source="measured").sum())
     measured = series.require_values(series.average_frames(values.sel(source="measured"), axes), plot.meaning.lower())
     simulated = series.average_frames(values.sel(source="simulated"), axes)
     divisor, power_text = style.choose_power_of_ten(float(np.nanmax(measured.mean)))
     names, lines = series.list_line_names(ds, axes), style.line_styles(len(measured.mean))
     has_law = follows_law(results)
+    # The law depends on the exposure alone, so that the simulation is the same at all other values of the abscissa.
     is_constant = has_law and axes.abscissa in ("angle", "repeat")
     figure = style.new_figure(3.5)
     ax = figure.add_subplot()
@@ -79,36 +86,42 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
     if not has_law:
         caption += " No law links the frames: each one is simulated with its own fitted parameters, so that"
         caption += " fitted amplitude and width agree by construction."
-    if left_out:
-        caption += f" {left_out} fits that did not converge or have an implausible width are not counted."
+    if untrusted_count:
+        caption += f" {untrusted_count} fits that did not converge or have an implausible width are not counted."
     return style.Drawing(figure, caption + (results.paper_note(plot.note) if plot.note else ""))
 
 
 def _draw_simulated(
     ax: Axes, x: np.ndarray, mean: np.ndarray, line: style.LineStyle, weights: np.ndarray | None
 ) -> Line2D:
-    """Draw the means of simulated frames dashed; with `weights` [frames], draw their average as a level."""
+    """Draw the `mean` of simulated frames [point] over `x` dashed; return the artist for the legend.
+
+    With `weights` [point], the numbers of frames, draw the weighted average of all points as a horizontal line instead.
+    """
     dashes = (0, line.dashes)
     if weights is not None and weights.any():
         level = float(np.average(mean[weights > 0], weights=weights[weights > 0]))
         return ax.axhline(level, color=line.colour, linestyle=dashes)
-    face: dict[str, Any] = {"marker": line.marker, "markerfacecolor": "none", "markersize": 8}
-    return ax.plot(x, mean, color=line.colour, linestyle=dashes, **face)[0]
+    marker: dict[str, Any] = {"marker": line.marker, "markerfacecolor": "none", "markersize": 8}
+    return ax.plot(x, mean, color=line.colour, linestyle=dashes, **marker)[0]
 
 
 def draw_psnr(results: Results) -> style.Drawing:
-    """Draw Fig. 9a: the PSNR as in the paper, and that of registered crops with the range of the sensor."""
+    """Draw Fig. 9a: the peak signal-to-noise ratio (PSNR) as in the paper, and that of registered crops.
+
+    The paper centres each crop on its maximum and uses the range of 16-bit numbers. The second panel has crops that are
+    registered on the fitted centres, and the range of the sensor. Raises `Unavailable` if there is no PSNR.
+    """
     ds = results.get("metrics")
     axes = series.choose_axes(ds, store.grid_dims(ds))
     full_scale = float(results.get("sensor")["full_scale_dn"])
     range_db = 20 * np.log10(CONTAINER_RANGE / full_scale)
-    psnr = {
-        (registration, data_range): ds["psnr"].sel(registration=registration, data_range=data_range)
-        for registration, data_range in (("maximum", "container"), ("maximum", "sensor"), ("fitted", "sensor"))
-    }
     as_printed, registered = (
-        series.require_values(series.average_frames(psnr[key], axes), "a peak signal-to-noise ratio")
-        for key in (("maximum", "container"), ("fitted", "sensor"))
+        series.require_values(
+            series.average_frames(ds["psnr"].sel(registration=registration, data_range=data_range), axes),
+            "a peak signal-to-noise ratio",
+        )
+        for registration, data_range in (("maximum", "container"), ("fitted", "sensor"))
     )
     names, lines = series.list_line_names(ds, axes), style.line_styles(len(as_printed.mean))
     figure = style.new_figure(3.6)
@@ -125,34 +138,40 @@ def draw_psnr(results: Results) -> style.Drawing:
     _equalize_spans(panels)
     if any(names):
         style.add_legend(figure, handles, names, min(len(names), 6))
-    at_sensor_range = psnr["maximum", "sensor"].values
-    at_sensor_range = at_sensor_range[np.isfinite(at_sensor_range)].mean()
+    # The crops of the left panel with the range of the right one, which separates both effects.
+    at_sensor_range = ds["psnr"].sel(registration="maximum", data_range="sensor").values
+    printed_db, registered_db = _average_all_frames(as_printed), _average_all_frames(registered)
+    sensor_range_db = at_sensor_range[np.isfinite(at_sensor_range)].mean()
     caption = (
         "Peak signal-to-noise ratio of measured against simulated frames. Left: both crops centred on their own"
         " maximum and scaled to 65535, the range of a 16-bit container, as in the paper. Right: the simulated crop"
         " moved onto the measured fitted centre and scaled to the sensor's own range. The range alone is worth"
-        f" {range_db:.1f} dB: the crops of the left panel average {_average(as_printed):.1f} dB, at the sensor's range"
-        f" {at_sensor_range:.1f} dB, and registered {_average(registered):.1f} dB. Both ordinates span the same"
+        f" {range_db:.1f} dB: the crops of the left panel average {printed_db:.1f} dB, at the sensor's range"
+        f" {sensor_range_db:.1f} dB, and registered {registered_db:.1f} dB. Both ordinates span the same"
         f" decibels. {series.frames_text(as_printed, axes)}."
     )
     note = "In print the means are 53 to 58 dB, highest at 100 µs, with spreads of 0.7 to 3.4 dB."
     return style.Drawing(figure, caption + results.paper_note(note))
 
 
-def _average(statistics: series.LineStatistics) -> float:
-    """Return the mean over all frames."""
-    is_known = statistics.frames > 0
-    return float(np.average(statistics.mean[is_known], weights=statistics.frames[is_known]))
+def _average_all_frames(statistics: series.LineStatistics) -> float:
+    """Return the mean of a quantity over all frames: that of all points, weighted by their numbers of frames."""
+    has_frames = statistics.frames > 0
+    return float(np.average(statistics.mean[has_frames], weights=statistics.frames[has_frames]))
 
 
 def _equalize_spans(panels: np.ndarray) -> None:
-    """Give all ordinates the largest span, each around its own middle, so that distances are comparable."""
+    """Set the ordinates of all panels to the largest of their spans, each around its own middle.
+
+    Equal distances on them then mean equal differences.
+    """
     limits = [ax.get_ylim() for ax in panels]
     span = max(high - low for low, high in limits)
     for ax, (low, high) in zip(panels, limits, strict=True):
         ax.set_ylim((low + high - span) / 2, (low + high + span) / 2)
 
 
+# Metrics of the paper.
 CONTRAST = MetricPlot(
     "speckle_contrast",
     "speckle contrast $C_s$",
@@ -187,6 +206,7 @@ TOTAL = MetricPlot(
     "Sum of all readings of a crop",
     "In print the spreads reach 1.1 · 10⁶ and the simulated sums lie inside nearly all of them.",
 )
+# All other metrics of single crops, by name.
 OTHERS = {
     metric.name: MetricPlot(
         metric.name,
@@ -199,7 +219,7 @@ OTHERS = {
 
 
 def _entry(name: str, title: str, plot: MetricPlot, paper: str | None = None) -> Entry:
-    """Return the entry of a metric."""
+    """Return the entry of a figure of a metric; `paper` is the figure of the paper, None if it has none."""
     return Entry(name, title, Category.METRICS, METRICS, partial(draw_metric, plot=plot), paper)
 
 

@@ -15,17 +15,18 @@ def draw_overview(results: Results) -> style.Drawing:
     """Draw measured and simulated frame of the longest exposure, their difference, and profiles along a row."""
     pair = find_pair(results)
     (measured, spot), (simulated, simulated_spot) = pair.measured, pair.simulated
+    # The simulated image is shifted so that both fitted centres coincide.
     registered = shift_image(simulated, spot.row - simulated_spot.row, spot.column - simulated_spot.column)
     half = half_side(pair)
     highest = float(max(np.nanmax(measured), np.nanmax(registered)))
-    light, difference = Normalize(0.0, highest), Normalize(-highest, highest)
+    reading_norm, difference_norm = Normalize(0.0, highest), Normalize(-highest, highest)
     figure = style.new_figure(2.5, 1.45 * style.WIDTH)
     panels = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.15))
     extent = style.centred_extent(measured.shape, spot.row, spot.column)
     for ax, image, title, norm, cmap in (
-        (panels[0], measured, "measured", light, style.IMAGE_MAP),
-        (panels[1], registered, "simulated", light, style.IMAGE_MAP),
-        (panels[2], measured - registered, "measured − simulated", difference, style.DIVERGING_MAP),
+        (panels[0], measured, "measured", reading_norm, style.IMAGE_MAP),
+        (panels[1], registered, "simulated", reading_norm, style.IMAGE_MAP),
+        (panels[2], measured - registered, "measured − simulated", difference_norm, style.DIVERGING_MAP),
     ):
         limits = {"xlim": (-half, half), "ylim": (half, -half)}
         style.show_image(ax, image, cmap, norm, extent, title=title, xlabel="x / px", **limits)

@@ -1,4 +1,8 @@
-"""Sensor by flats and darks (EMVA 1288): photon transfer, linearity, signal-to-noise ratio, dark signal, patterns."""
+"""Sensor by flats and darks (EMVA 1288): photon transfer, linearity, signal-to-noise ratio, dark signal, patterns.
+
+A level is a set of equal flats (or darks): frames of the same exposure and light. The signal of a level is its mean
+less that of its dark; its excess is its variance in time less that of its dark. All values are those of transfer.nc.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,20 +22,20 @@ from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
 SIGNAL = "signal $\\mu_y - \\mu_{y.dark}$ / DN"
-# Markers of the levels that a fit uses, and of the other levels.
+# Looks of the levels that a fit uses, and of the other levels.
 USED_LEVELS: dict[str, Any] = {"color": style.MEASURED, "markersize": 3}
 OTHER_LEVELS: dict[str, Any] = {"color": "0.6", "markersize": 3}
-# A level with this fraction of its pixels at full scale is not shown.
+# A level with at least this fraction of its pixels at full scale is not shown.
 MAX_CLIPPED = 0.5
-# Levels that a line needs: two always lie on one.
+# Smallest number of levels to which a line is fitted: two always lie on one.
 MIN_LEVELS = 3
 # Quantiles of a pattern at which its colours end.
 COLOUR_QUANTILES = (0.01, 0.99)
-DASHED = (0, (4, 2))
+DASHED, DOTTED = (0, (4, 2)), (0, (1, 1.5))
 
 
 def _read_quantities(results: Results, *required: str) -> tuple[xr.Dataset, dict[str, Quantity]]:
-    """Return the levels and the quantities. Raises `Unavailable` if a required quantity is unknown."""
+    """Return transfer.nc, and its quantities by name. Raises `Unavailable` if a `required` one is unknown."""
     ds = results.get("transfer")
     quantities = read_quantities(ds)
     for name in required:
@@ -41,12 +45,15 @@ def _read_quantities(results: Results, *required: str) -> tuple[xr.Dataset, dict
 
 
 def _quantity_text(quantity: Quantity) -> str:
-    """Return a quantity ± its standard error with unit."""
+    """Return a quantity with its standard error and unit as text."""
     return quantity_text(quantity.value, quantity.stderr, quantity.unit)
 
 
 def _read_light(ds: xr.Dataset) -> tuple[np.ndarray, str]:
-    """Return the light of every flat and its label: photons if all are known, else exposure."""
+    """Return the light of each flat level, and the label of its axis.
+
+    It is the number of photons per pixel if all are known, else the exposure in the displayed unit.
+    """
     photons = ds["flat_photons"].values
     if np.isfinite(photons).all() and (photons > 0).all():
         return photons, "photons per pixel $\\mu_p$"
@@ -57,22 +64,26 @@ def _read_light(ds: xr.Dataset) -> tuple[np.ndarray, str]:
 
 @dataclass(frozen=True)
 class ResponseLine:
-    """Straight line through the response of the sensor."""
+    """Straight line through the response of the sensor: signal = slope · light + offset."""
 
-    light: np.ndarray  # light of every flat [photons, or exposure in the displayed unit]
-    is_used: np.ndarray  # whether the line is fitted to the level
+    light: np.ndarray  # light of each flat level [photons, or exposure in the displayed unit]
+    is_used: np.ndarray  # whether the line is fitted to the level [flat]
     slope: float  # slope [DN per unit of light]; NaN below `MIN_LEVELS` levels
-    offset: float  # signal without light [DN]
+    offset: float  # signal without light [DN]; NaN below `MIN_LEVELS` levels
 
     def predict(self, light: np.ndarray) -> np.ndarray:
-        """Return the signal [DN] at some light."""
+        """Return the signal [DN] of the line at `light`, in the unit of the attribute."""
         return self.slope * light + self.offset
 
 
 def fit_response_line(ds: xr.Dataset) -> ResponseLine:
-    """Fit a line by least relative squares to the levels that EMVA 1288 uses for linearity."""
-    light, signal, saturated = _read_light(ds)[0], ds["signal"].values, int(ds["saturation"])
-    saturation = signal[saturated] if saturated >= 0 else signal.max()
+    """Fit a line by least relative squares to the levels that EMVA 1288 uses for linearity.
+
+    `ds` is the content of transfer.nc.
+    """
+    light, signal, saturated_level = _read_light(ds)[0], ds["signal"].values, int(ds["saturation"])
+    # The level is -1 if no flat is saturated.
+    saturation = signal[saturated_level] if saturated_level >= 0 else signal.max()
     is_used = (signal >= LINEARITY_RANGE[0] * saturation) & (signal <= LINEARITY_RANGE[1] * saturation)
     slope, offset = np.nan, np.nan
     if is_used.sum() >= MIN_LEVELS:
@@ -81,28 +92,32 @@ def fit_response_line(ds: xr.Dataset) -> ResponseLine:
 
 
 def draw_photon_transfer(results: Results) -> style.Drawing:
-    """Draw variance against signal with the line of the gain, and noise against signal with its regimes."""
+    """Draw variance against signal with the line of the gain, and noise against signal with its regimes.
+
+    Raises `Unavailable` if the gain is unknown.
+    """
     ds, quantities = _read_quantities(results, "gain")
-    signal, variance, stderr = (ds[name].values for name in ("signal", "excess", "excess_stderr"))
+    signal, excess, stderr = (ds[name].values for name in ("signal", "excess", "excess_stderr"))
     is_used, is_positive = ds["fitted"].values > 0, signal > 0
     gain, dark_noise = quantities["gain"].value, quantities["dark_noise_dn"].value
     figure = style.new_figure(3.3)
     left, right = figure.subplots(1, 2)
-    others = left.errorbar(signal, variance, stderr, fmt="o", capsize=0, zorder=2, **OTHER_LEVELS)
-    levels = left.plot(signal[is_used], variance[is_used], "o", zorder=3, **USED_LEVELS)[0]
+    other_levels = left.errorbar(signal, excess, stderr, fmt="o", capsize=0, zorder=2, **OTHER_LEVELS)
+    used_levels = left.plot(signal[is_used], excess[is_used], "o", zorder=3, **USED_LEVELS)[0]
     ends = np.array([0.0, signal[is_used].max()])
     model = left.plot(ends, gain * ends, color=style.SIMULATED, zorder=4)[0]
     left.set(xlabel=SIGNAL, ylabel="variance $\\sigma_y^2 - \\sigma_{y.dark}^2$ / DN²")
-    noise = np.sqrt(np.maximum(variance + dark_noise**2, 0.0))
+    noise = np.sqrt(np.maximum(excess + dark_noise**2, 0.0))
     right.plot(signal[is_positive], noise[is_positive], "o", **OTHER_LEVELS)
     right.plot(signal[is_used], noise[is_used], "o", **USED_LEVELS)
     x = np.geomspace(max(signal[is_positive].min() / 3, 1e-2), signal.max(), 200)
     right.plot(x, np.sqrt(dark_noise**2 + gain * x), color=style.SIMULATED)
+    # The two regimes: read noise at small signals, shot noise at large ones.
     dark_line = right.axhline(dark_noise, color=style.ACCENT, linestyle=DASHED)
-    shot_line = right.plot(x, np.sqrt(gain * x), color=style.ACCENT, linestyle=(0, (1, 1.5)))[0]
+    shot_line = right.plot(x, np.sqrt(gain * x), color=style.ACCENT, linestyle=DOTTED)[0]
     right.set(xscale="log", yscale="log", xlabel=SIGNAL, ylabel="noise $\\sigma_y$ / DN")
     right.set_ylim(max(0.3 * dark_noise, 1e-2), None)
-    handles = [levels, others, model, dark_line, shot_line]
+    handles = [used_levels, other_levels, model, dark_line, shot_line]
     names = ["levels fitted", "other levels", "$K$ and noise of the dark", "dark noise alone", "shot noise alone"]
     style.add_legend(figure, handles, names, 3)
     caption = (
@@ -116,7 +131,10 @@ def draw_photon_transfer(results: Results) -> style.Drawing:
 
 
 def draw_response(results: Results) -> style.Drawing:
-    """Draw signal against light, and its deviation from the line of the linearity error."""
+    """Draw signal against light, and its relative deviation from the line that defines the linearity error.
+
+    Raises `Unavailable` if the linearity error is unknown.
+    """
     ds, quantities = _read_quantities(results, "linearity_error")
     line, signal, stderr = fit_response_line(ds), ds["signal"].values, ds["flat_mean_stderr"].values
     light, is_used = line.light, line.is_used
@@ -124,8 +142,8 @@ def draw_response(results: Results) -> style.Drawing:
     figure = style.new_figure(3.0)
     left, right = figure.subplots(1, 2)
     for ax, values, errors in ((left, signal, stderr), (right, deviation, 100 * stderr / np.abs(signal))):
-        for at, look in ((~is_used, OTHER_LEVELS), (is_used, USED_LEVELS)):
-            ax.errorbar(light[at], values[at], errors[at], fmt="o", capsize=0, **look)
+        for levels, look in ((~is_used, OTHER_LEVELS), (is_used, USED_LEVELS)):
+            ax.errorbar(light[levels], values[levels], errors[levels], fmt="o", capsize=0, **look)
         ax.set_xlabel(_read_light(ds)[1])
     ends = np.array([0.0, light[is_used].max()])
     left.plot(ends, line.predict(ends), color=style.SIMULATED)
@@ -144,7 +162,11 @@ def draw_response(results: Results) -> style.Drawing:
 
 
 def draw_signal_to_noise(results: Results) -> style.Drawing:
-    """Draw the signal-to-noise ratio against light, with the model of the sensor and the ideal camera."""
+    """Draw the signal-to-noise ratio against light, with the model of the sensor and the ideal camera.
+
+    Light is in photons, or in electrons if the quantum efficiency is unknown. Raises `Unavailable` if the gain is
+    unknown.
+    """
     ds, quantities = _read_quantities(results, "gain")
     signal, variance = ds["signal"].values, ds["excess"].values + quantities["dark_noise_dn"].value ** 2
     is_shown = (signal > 0) & (variance > 0) & (ds["flat_at_full"].values < MAX_CLIPPED)
@@ -152,7 +174,7 @@ def draw_signal_to_noise(results: Results) -> style.Drawing:
     gain, dark_noise = quantities["gain"].value, quantities["dark_noise_dn"].value
     efficiency, full_well = quantities["quantum_efficiency"].value, quantities["full_well"]
     has_photons = np.isfinite(efficiency)
-    # Signal per photon; per electron if the photons are unknown.
+    # Signal [DN] per photon, or per electron.
     scale = gain * efficiency if has_photons else gain
     figure = style.new_figure(3.4)
     ax = figure.subplots()
@@ -178,11 +200,14 @@ def draw_signal_to_noise(results: Results) -> style.Drawing:
 
 
 def draw_dark_signal(results: Results) -> style.Drawing:
-    """Draw mean and variance without light against exposure."""
+    """Draw mean and variance without light against exposure, with the lines that the dark current gives.
+
+    Raises `Unavailable` if the dark current is unknown.
+    """
     ds, quantities = _read_quantities(results, "dark_current")
-    x = ds["dark_exposure"].values
-    factor, unit = style.choose_unit(x, "s")
-    gain, offset, by_mean, noise, by_variance = (
+    exposure = ds["dark_exposure"].values
+    factor, unit = style.choose_unit(exposure, "s")
+    gain, offset, current, noise, current_by_variance = (
         quantities[name].value
         for name in ("gain", "dark_offset", "dark_current", "dark_noise_dn", "dark_current_by_variance")
     )
@@ -191,12 +216,12 @@ def draw_dark_signal(results: Results) -> style.Drawing:
         figure.subplots(1, 2),
         ("mean", "variance"),
         ("mean $\\mu_{y.dark}$ / DN", "variance $\\sigma_{y.dark}^2$ / DN²"),
-        (offset + gain * by_mean * x, noise**2 + gain**2 * by_variance * x),
+        (offset + gain * current * exposure, noise**2 + gain**2 * current_by_variance * exposure),
         strict=True,
     ):
         values, stderr = ds[f"dark_{name}"].values, ds[f"dark_{name}_stderr"].values
-        ax.errorbar(x * factor, values, stderr, fmt="o", capsize=0, **USED_LEVELS)
-        ax.plot(x * factor, line, color=style.SIMULATED)
+        ax.errorbar(exposure * factor, values, stderr, fmt="o", capsize=0, **USED_LEVELS)
+        ax.plot(exposure * factor, line, color=style.SIMULATED)
         # Full numbers at the ticks, since the steps are small beside the offset.
         ax.ticklabel_format(axis="y", useOffset=False)
         ax.set(xlabel=style.axis_label("exposure time $t$", unit), ylabel=label)
@@ -209,7 +234,10 @@ def draw_dark_signal(results: Results) -> style.Drawing:
 
 
 def draw_patterns(results: Results) -> style.Drawing:
-    """Draw the fixed pattern without light and at half of saturation, and their spectra."""
+    """Draw the fixed pattern without light and at half of saturation, and their spectra.
+
+    Raises `Unavailable` if transfer.nc has no pattern.
+    """
     ds, quantities = _read_quantities(results)
     titles = {"dark": "without light", "flat": "at half of saturation"}
     kinds = [kind for kind in titles if f"{kind}_picture" in ds]
@@ -218,13 +246,15 @@ def draw_patterns(results: Results) -> style.Drawing:
     figure = style.new_figure(2.6 * len(kinds))
     axes = figure.subplots(len(kinds), 2, squeeze=False, width_ratios=(1, 1.25))
     for (left, right), kind in zip(axes, kinds, strict=True):
-        picture, side = ds[f"{kind}_picture"].values, int(ds[f"{kind}_shown_side"])
+        # The picture is averaged over square blocks of pixels.
+        picture, block_side = ds[f"{kind}_picture"].values, int(ds[f"{kind}_shown_side"])
         norm = Normalize(*np.quantile(picture, COLOUR_QUANTILES))
-        rows, columns = (count * side for count in picture.shape)
+        rows, columns = (count * block_side for count in picture.shape)
         labels = {"title": titles[kind], "xlabel": "column / px", "ylabel": "row / px"}
-        shown = style.show_image(left, picture, style.IMAGE_MAP, norm, (0, columns, rows, 0), **labels)
-        figure.colorbar(shown, ax=left, shrink=0.85, label="off the mean / DN")
+        artist = style.show_image(left, picture, style.IMAGE_MAP, norm, (0, columns, rows, 0), **labels)
+        figure.colorbar(artist, ax=left, shrink=0.85, label="off the mean / DN")
         for axis, colour in (("rows", style.MEASURED), ("columns", style.SIMULATED)):
+            # The first frequency is 0, where the mean was subtracted.
             frequency, spectrum = (ds[f"{kind}_{name}"].values[1:] for name in (f"{axis}_frequency", f"along_{axis}"))
             right.plot(frequency, spectrum, color=colour, linewidth=0.9, label=f"along {axis}")
         right.axhline(float(ds[f"{kind}_shown_noise"]), color="black", linestyle=DASHED, label="noise in time")
@@ -245,7 +275,7 @@ def draw_patterns(results: Results) -> style.Drawing:
 
 
 def _entry(name: str, title: str, draw: Callable[[Results], style.Drawing]) -> Entry:
-    """Return the entry of a figure of transfer.nc."""
+    """Return the entry of a figure that reads transfer.nc alone."""
     return Entry(name, title, Category.SENSOR, ("transfer",), draw)
 
 

@@ -1,4 +1,8 @@
-"""Precision of a spot fit: Cramér–Rao bound over the exposure, and scatter over repeats in units of the bound."""
+"""Precision of a spot fit: Cramér–Rao bound over the exposure, and scatter over repeats in units of the bound.
+
+The scatter is the standard deviation of a fitted parameter over the repeats of a condition. The bound is the smallest
+standard deviation that an unbiased estimate from one frame can have. A source is measured or simulated frames.
+"""
 
 from typing import Any, NamedTuple
 
@@ -6,11 +10,12 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from spotcheck.fitting.precision import SCATTERED, pool_ratios, summarize_precision
+from spotcheck.fitting.precision import pool_ratios, summarize_precision
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
+# Parameters of a fit in precision.nc, with their labels; the orientation of a round spot has no meaning.
 LABELS = {
     "amplitude": "amplitude",
     "x_centre": "column $x_0$",
@@ -23,12 +28,13 @@ LABELS = {
 
 
 class PointLook(NamedTuple):
-    """Appearance of points."""
+    """Appearance of the points of a source."""
 
-    marker: str  # shape of the marker
-    colours: dict[str, Any]  # colours of its edge and face
+    marker: str  # Matplotlib marker
+    colours: dict[str, Any]  # colours of its edge and face, as Matplotlib properties
 
 
+# Looks of the points of each source.
 LOOKS = {
     "measured": PointLook("o", {"color": style.MEASURED, "markerfacecolor": style.MEASURED}),
     "simulated": PointLook("D", {"color": style.SIMULATED, "markerfacecolor": "white"}),
@@ -36,7 +42,10 @@ LOOKS = {
 
 
 def draw_precision(results: Results) -> style.Drawing:
-    """Draw the standard deviation of the width over the exposure (left), and scatter over bound (right)."""
+    """Draw bound and scatter of the width over the exposure (left), and the ratio scatter / bound (right).
+
+    A panel without data is left out. Raises `Unavailable` if this leaves none.
+    """
     ds = results.get("precision")
     sources = [source for source in LOOKS if np.isfinite(pool_ratios(ds, source, "sigma_mean")[0])]
     has_bound = "fine_exposure" in ds
@@ -66,7 +75,10 @@ def draw_precision(results: Results) -> style.Drawing:
 
 
 def _draw_bound(ax: Axes, results: Results, ds: xr.Dataset) -> dict:
-    """Draw the bound of the mean width over the exposure, and the scatter of each condition; return the handles."""
+    """Draw bound and scatter of the mean width over the exposure; return the artists by name for the legend.
+
+    `ds` is the content of precision.nc. The scatter has a point for each condition.
+    """
     factor, unit = style.choose_unit(results.exposures(), "s")
     for exposure in ds["design_exposure"].values * factor:
         ax.axvline(exposure, color="0.85", linewidth=3.0, zorder=0)
@@ -77,9 +89,9 @@ def _draw_bound(ax: Axes, results: Results, ds: xr.Dataset) -> dict:
         if "exposure" not in scatter.coords or not np.isfinite(scatter).any():
             continue
         values = scatter.transpose("exposure", ...).values.reshape(scatter.sizes["exposure"], -1)
-        # Side by side, so that the conditions of one exposure do not hide each other.
-        offset = 1.04 ** (np.arange(values.shape[1]) - (values.shape[1] - 1) / 2)
-        x = (scatter["exposure"].values[:, None] * factor * offset).ravel()
+        # The conditions of one exposure are 4 % apart on the logarithmic axis, so that they do not hide each other.
+        shift = 1.04 ** (np.arange(values.shape[1]) - (values.shape[1] - 1) / 2)
+        x = (scatter["exposure"].values[:, None] * factor * shift).ravel()
         handles[source] = ax.plot(x, values.ravel(), look.marker, markersize=4, **look.colours)[0]
     ax.set(xscale="log", yscale="log", xlabel=style.axis_label("exposure time $t$", unit))
     ax.set_ylabel("standard deviation of $\\bar{\\sigma}$ / px")
@@ -87,20 +99,23 @@ def _draw_bound(ax: Axes, results: Results, ds: xr.Dataset) -> dict:
 
 
 def _draw_ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
-    """Draw scatter over bound of every parameter; return the handles."""
+    """Draw the ratio scatter / bound of each parameter, pooled over all conditions, for each of `sources`.
+
+    `ds` is the content of precision.nc. Returns the artists by source for the legend.
+    """
     handles = {}
-    y = np.arange(len(SCATTERED))[::-1]
+    y = np.arange(len(LABELS))[::-1]
     ax.axvline(1.0, color="black", linewidth=0.9)
     for k, source in enumerate(sources):
         look = LOOKS[source]
-        ratio, stderr = np.array([pool_ratios(ds, source, name) for name in SCATTERED]).T
-        y_source = y + 0.12 * (k - (len(sources) - 1) / 2)
+        ratio, stderr = np.array([pool_ratios(ds, source, name) for name in LABELS]).T
+        y_source = y + 0.12 * (k - (len(sources) - 1) / 2)  # sources beside each other
         errors: dict[str, Any] = {"xerr": stderr, "capsize": 2, "markersize": 5}
         handles[source] = ax.errorbar(ratio, y_source, fmt=look.marker, **errors, **look.colours)
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, 0.5), max(high, 2.0))
-    ax.set_yticks(y, [LABELS[name] for name in SCATTERED])
+    ax.set_yticks(y, list(LABELS.values()))
     ax.set_xlabel("scatter over repeats / bound")
     return handles
 

@@ -1,4 +1,8 @@
-"""Radial profiles of measured and simulated frames, and their difference."""
+"""Radial profiles of measured and simulated frames, and their difference.
+
+A profile has the mean over each ring of 1 px around the spot's centre. The simulated reading is the mean one, moved to
+the measured spot.
+"""
 
 from dataclasses import dataclass
 
@@ -7,20 +11,21 @@ from matplotlib.axes import Axes
 
 from spotcheck.io import store
 from spotcheck.report.figures import series, style
-from spotcheck.report.figures.entry import Category, Entry
+from spotcheck.report.figures.entry import FRAMES, Category, Entry
 from spotcheck.report.figures.frame_pairs import FittedSpot, iterate_frames
 from spotcheck.report.figures.results import Results, Unavailable
 
-MAX_PANELS = 12
-# Light below this fraction of the highest reading is not shown.
-MIN_FRACTION = 0.01
-# Smallest radius that is shown [px].
+MAX_PANELS, MAX_COLUMNS = 12, 3
+# Profiles are shown to the radius where the reading falls below this fraction of the highest one, and by this factor
+# beyond it.
+MIN_FRACTION, RADIUS_FACTOR = 0.01, 1.25
+# Smallest value of the radius before the factor [px].
 MIN_RADIUS = 4.0
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Means over rings one pixel wide, averaged over the frames of one condition; arrays are [ring]."""
+    """Profiles of one condition, averaged over its frames; arrays are [ring], NaN if a ring has no usable pixel."""
 
     radius: np.ndarray  # middle of the ring [px]
     measured: np.ndarray  # measured reading [DN]
@@ -28,7 +33,7 @@ class Profile:
     residual: np.ndarray  # measured less simulated reading [DN]
     scatter: np.ndarray  # standard deviation of the residual over frames [DN]; NaN for one frame
     frames: int  # number of frames
-    name: str  # condition as text
+    name: str  # condition as text; "" if it was not recorded
 
 
 def average_rings(image: np.ndarray, spot: FittedSpot, count: int) -> np.ndarray:
@@ -36,52 +41,52 @@ def average_rings(image: np.ndarray, spot: FittedSpot, count: int) -> np.ndarray
     y, x = np.indices(image.shape)
     ring = np.hypot(y - spot.row, x - spot.column).astype(int)
     is_used = np.isfinite(image) & (ring < count)
-    number = np.bincount(ring[is_used], minlength=count)
-    return np.bincount(ring[is_used], image[is_used], minlength=count) / np.where(number, number, np.nan)
+    pixels = np.bincount(ring[is_used], minlength=count)
+    return np.bincount(ring[is_used], image[is_used], minlength=count) / np.where(pixels, pixels, np.nan)
 
 
 def average_profiles(results: Results) -> list[Profile]:
-    """Return the profile of each exposure and declared condition. Raises `Unavailable` if no frame is usable."""
+    """Return the profile of each exposure and declared condition, averaged over angles and repeats.
+
+    Conditions without a usable frame are left out. Raises `Unavailable` if this leaves none.
+    """
     crops = results.get("crops")
     dims = [dim for dim in store.grid_dims(crops) if dim == "exposure" or dim not in series.UNITS]
     profiles = []
-    for at in np.ndindex(*(crops.sizes[dim] for dim in dims)):
-        fixed = dict(zip(dims, at, strict=True))
+    for numbers in np.ndindex(*(crops.sizes[dim] for dim in dims)):
+        index = dict(zip(dims, numbers, strict=True))
         rings = [
             [average_rings(image, frame.spot, min(predicted.shape) // 2) for image in (frame.image, predicted)]
-            for frame, predicted in iterate_frames(results, fixed)
+            for frame, predicted in iterate_frames(results, index)
         ]
         if not rings:
             continue
-        measured, simulated = np.array(rings).transpose(1, 0, 2)
+        measured, simulated = np.array(rings).transpose(1, 0, 2)  # each [frame, ring]
         residual = measured - simulated
-        profiles.append(
-            Profile(
-                radius=np.arange(residual.shape[1]) + 0.5,
-                measured=measured.mean(axis=0),
-                simulated=simulated.mean(axis=0),
-                residual=residual.mean(axis=0),
-                scatter=residual.std(axis=0, ddof=1) if len(rings) > 1 else np.full(residual.shape[1], np.nan),
-                frames=len(rings),
-                name=series.condition_text(crops, fixed),
-            )
-        )
+        scatter = residual.std(axis=0, ddof=1) if len(rings) > 1 else np.full(residual.shape[1], np.nan)
+        radius, name = np.arange(residual.shape[1]) + 0.5, series.condition_text(crops, index)
+        mean_measured, mean_simulated, mean_residual = (a.mean(axis=0) for a in (measured, simulated, residual))
+        profiles.append(Profile(radius, mean_measured, mean_simulated, mean_residual, scatter, len(rings), name))
     if not profiles:
         raise Unavailable("no frame has a fitted spot")
     return profiles
 
 
 def draw_profiles(results: Results) -> style.Drawing:
-    """Draw the profiles of each condition, and below them the residual with its scatter."""
+    """Draw the profiles of each condition, and below them the residual with its scatter over frames.
+
+    Raises `Unavailable` if no frame is usable.
+    """
     profiles = average_profiles(results)
     profiles = [profiles[k] for k in series.pick_evenly(len(profiles), MAX_PANELS)]
-    columns = min(3, len(profiles))
-    rows = -(-len(profiles) // columns)
+    columns = min(MAX_COLUMNS, len(profiles))
+    rows = -(-len(profiles) // columns)  # rounded up
     figure = style.new_figure(0.5 + 2.6 * rows)
     axes = figure.subplots(2 * rows, columns, sharex=True, sharey=False, squeeze=False, height_ratios=(1.6, 1) * rows)
     uppers, lowers = axes[0::2].ravel(), axes[1::2].ravel()
+    # Largest reading, and largest absolute residual with its scatter: all panels have the same ordinates.
     highest = max(float(np.nanmax([profile.measured, profile.simulated])) for profile in profiles)
-    deepest = max(float(np.nanmax(np.abs(p.residual) + np.nan_to_num(p.scatter))) for p in profiles)
+    largest = max(float(np.nanmax(np.abs(p.residual) + np.nan_to_num(p.scatter))) for p in profiles)
     last_radius = _find_last_radius(profiles, highest)
     handles: list = []
     for k, (upper, lower) in enumerate(zip(uppers, lowers, strict=True)):
@@ -91,14 +96,15 @@ def draw_profiles(results: Results) -> style.Drawing:
             continue
         handles = _draw_profile(upper, lower, profiles[k])
         upper.set(ylim=(-0.04 * highest, 1.06 * highest), xlim=(0, last_radius))
-        lower.set_ylim(-1.08 * deepest, 1.08 * deepest)
-        is_first, is_last = k % columns == 0, k + columns >= len(profiles)
-        upper.set_ylabel("reading / DN" if is_first else "")
-        lower.set_ylabel("residual / DN" if is_first else "")
-        lower.set_xlabel("radius / px" if is_last else "")
-        upper.tick_params(labelleft=is_first, labelbottom=False)
-        lower.tick_params(labelleft=is_first)
-        if is_last:
+        lower.set_ylim(-1.08 * largest, 1.08 * largest)
+        is_leftmost, is_lowest = k % columns == 0, k + columns >= len(profiles)
+        upper.set_ylabel("reading / DN" if is_leftmost else "")
+        lower.set_ylabel("residual / DN" if is_leftmost else "")
+        lower.set_xlabel("radius / px" if is_lowest else "")
+        upper.tick_params(labelleft=is_leftmost, labelbottom=False)
+        lower.tick_params(labelleft=is_leftmost)
+        # Axes with a common abscissa label only the last row, which may have gaps.
+        if is_lowest:
             lower.tick_params(labelbottom=True)
     labels = ["measured", "simulated", "measured − simulated", "± 1 sd over frames"][: len(handles)]
     style.add_legend(figure, handles, labels, len(handles))
@@ -114,7 +120,10 @@ def draw_profiles(results: Results) -> style.Drawing:
 
 
 def _draw_profile(upper: Axes, lower: Axes, profile: Profile) -> list:
-    """Draw a profile above and its residual below, with the scatter over frames; return the handles."""
+    """Draw a profile in the upper axes and its residual in the lower ones; return the artists for the legend.
+
+    These are measured, simulated and residual, and with two or more frames the band of the scatter.
+    """
     (measured,) = upper.plot(profile.radius, profile.measured, color=style.MEASURED)
     (simulated,) = upper.plot(profile.radius, profile.simulated, color=style.SIMULATED, linestyle=style.DASHED)
     (residual,) = lower.plot(profile.radius, profile.residual, color="0.1")
@@ -130,21 +139,18 @@ def _draw_profile(upper: Axes, lower: Axes, profile: Profile) -> list:
 
 
 def _find_last_radius(profiles: list[Profile], highest: float) -> float:
-    """Return the radius [px] up to which profiles are shown; outside of it the light is negligible."""
+    """Return the radius [px] up to which profiles are shown; outside of it the light is negligible.
+
+    `highest` is the largest reading of all profiles [DN].
+    """
     last = MIN_RADIUS
     for profile in profiles:
         for curve in (profile.measured, profile.simulated):
-            bright = np.flatnonzero(curve - np.nanmin(curve) > MIN_FRACTION * highest)
-            last = max(last, profile.radius[bright[-1]] if bright.size else 0.0)
-    return min(1.25 * last, float(profiles[0].radius[-1]))
+            # Readings above the lowest one, which has little light.
+            bright_rings = np.flatnonzero(curve - np.nanmin(curve) > MIN_FRACTION * highest)
+            last = max(last, profile.radius[bright_rings[-1]] if bright_rings.size else 0.0)
+    return min(RADIUS_FACTOR * last, float(profiles[0].radius[-1]))
 
 
-FIGURES = (
-    Entry(
-        "residual-profiles",
-        "Radial profiles and their residual",
-        Category.RESIDUALS,
-        ("crops", "fits", "simulated"),
-        draw_profiles,
-    ),
-)
+TITLE = "Radial profiles and their residual"
+FIGURES = (Entry("residual-profiles", TITLE, Category.RESIDUALS, FRAMES, draw_profiles),)

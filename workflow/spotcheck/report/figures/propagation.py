@@ -1,4 +1,8 @@
-"""Fig. 7: the beam propagation parameters p1 and p2 of every fibre orientation."""
+"""Fig. 7: the beam propagation parameters p1 and p2 of each fibre orientation.
+
+p1 and p2 give the width of the spot at an exposure (Eq. 8 of the paper). A site is a place on the sample: one angle and
+repeat and one value of each declared condition, with frames of all exposures.
+"""
 
 import numpy as np
 import xarray as xr
@@ -10,11 +14,16 @@ from spotcheck.report.figures.results import Results
 
 
 def draw_parameters(results: Results) -> style.Drawing:
-    """Draw p1 (left ordinate) and p2 (right ordinate) over the angle, by the estimator that the simulation uses."""
+    """Draw p1 (left ordinate) and p2 (right ordinate) by the estimator that the simulation uses.
+
+    The abscissa is the angle, or another dimension if there is a single angle. Raises `Unavailable` if no site has p1
+    and p2.
+    """
     calibration = results.get("calibration")
+    # Name of the estimator that the simulation uses.
     used = str(calibration.attrs["used"])
     ds = calibration.sel(estimator=used)
-    # p1 and p2 result from a regression over the exposure: the remaining axes are those of the sites.
+    # p1 and p2 result from a regression over the exposure: the remaining dimensions are those of the sites.
     dims = tuple(map(str, ds["p1"].dims))
     abscissa = next((dim for dim in ("angle", *dims) if ds.sizes[dim] > 1), "repeat")
     axes = series.PlotAxes(abscissa, None, tuple(dim for dim in dims if dim != abscissa))
@@ -42,6 +51,7 @@ def draw_parameters(results: Results) -> style.Drawing:
     caption = (
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"
         f" {style.axis_name(abscissa)}; crops centred on the light."
+        # Each site has one value.
         f" {series.frames_text(sites, axes).replace('frames a point', 'sites a point')}"
         " (each site has one fit over all its exposures). Legend: mean ± standard deviation over all"
         f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
@@ -52,7 +62,7 @@ def draw_parameters(results: Results) -> style.Drawing:
 
 
 def _estimator_text(calibration: xr.Dataset, name: str) -> str:
-    """Return the means of p1 and p2 by an estimator as text."""
+    """Return the means of p1 and p2 by the estimator `name` of calibration.nc as text."""
     ds = calibration.sel(estimator=name)
     values = (f"{symbol} = {float(ds[f'{symbol}_mean']):.2f} px" for symbol in ("p1", "p2"))
     return f"{calibration.attrs[f'estimator_{name}']}: {', '.join(values)}"

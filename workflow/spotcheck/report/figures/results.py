@@ -1,4 +1,4 @@
-"""Results of a dataset, opened when a figure first reads them."""
+"""Results of a dataset: files are opened when a figure first reads them."""
 
 import json
 from pathlib import Path
@@ -19,16 +19,16 @@ PAPER_EXPOSURES, PAPER_ANGLES = (1e-4, 5e-4, 9e-4), (0.0, 45.0, 90.0, 135.0)
 
 
 class Unavailable(Exception):
-    """A figure cannot be drawn from these results; the text is the reason, for a reader."""
+    """Error: a figure cannot be drawn from these results. Its text is the reason, which the report shows."""
 
 
 class Results:
-    """Results folder of a dataset, a context manager that closes its files.
+    """Results folder of a dataset; as a context manager it closes the files at the end.
 
     Parameters
     ----------
     folder : str or Path
-        Results folder.
+        Results folder, with a netCDF file for each stage.
     dataset : str, Path or Dataset
         The dataset, or its folder.
     """
@@ -36,19 +36,15 @@ class Results:
     def __init__(self, folder: str | Path, dataset: str | Path | Dataset):
         self.folder = Path(folder)
         self.dataset = dataset if isinstance(dataset, Dataset) else load(dataset)
-        self._open: dict[str, xr.Dataset] = {}
+        self._opened: dict[str, xr.Dataset] = {}  # netCDF results by the names that `get` takes
 
     def __enter__(self) -> "Results":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close every file that was opened."""
-        for ds in self._open.values():
+        for ds in self._opened.values():
             ds.close()
-        self._open.clear()
+        self._opened.clear()
 
     @property
     def instrument(self) -> Instrument:
@@ -56,29 +52,29 @@ class Results:
         return self.dataset.instrument
 
     def get(self, name: str) -> xr.Dataset:
-        """Return a netCDF result by its path without suffix, such as "simulated/crops".
+        """Return a netCDF result; `name` is its path in the folder without suffix, such as "simulated/crops".
 
-        Raises `Unavailable` if the file does not exist or its stage was skipped.
+        Raises `Unavailable` if the file does not exist, or if its stage was skipped and only wrote the reason.
         """
-        if name not in self._open:
+        if name not in self._opened:
             path = self.folder / f"{name}.nc"
             if not path.is_file():
                 raise Unavailable(self._absence_reason(name))
-            self._open[name] = store.read(path)
-        ds = self._open[name]
+            self._opened[name] = store.read(path)
+        ds = self._opened[name]
         if "skipped" in ds.attrs:
             raise Unavailable(str(ds.attrs["skipped"]))
         return ds
 
     def verdict(self) -> dict[str, Any]:
-        """Return the content of verdict.json. Raises `Unavailable` if it does not exist."""
+        """Return the content of verdict.json by key. Raises `Unavailable` if the file does not exist."""
         path = self.folder / "verdict.json"
         if not path.is_file():
             raise Unavailable("verdict.json is not among the results")
         return json.loads(path.read_text(encoding="utf-8"))
 
     def _absence_reason(self, name: str) -> str:
-        """Return why a result does not exist."""
+        """Return the reason why the file of a netCDF result does not exist; `name` as in `get`."""
         if name == "transfer":
             return "the manifest names no frame of kind flat or dark"
         if not self.dataset.spots:
@@ -92,17 +88,25 @@ class Results:
         return np.array(self.dataset.exposures, float)
 
     def has_paper_design(self) -> bool:
-        """Return whether the design is that of the paper, so that its printed numbers are comparable."""
+        """Return whether exposures and angles are those of the paper, so that its printed numbers are comparable."""
         angles = next(axis.values for axis in self.dataset.axes if axis.name == "angle") or ()
-        designs = ((self.exposures(), PAPER_EXPOSURES), (angles, PAPER_ANGLES))
-        return all(len(values) == len(printed) and np.allclose(values, printed) for values, printed in designs)
+        pairs = ((self.exposures(), PAPER_EXPOSURES), (angles, PAPER_ANGLES))
+        return all(len(values) == len(printed) and np.allclose(values, printed) for values, printed in pairs)
 
     def paper_note(self, note: str) -> str:
-        """Return a note on the numbers that the paper prints, with a leading space; "" for another design."""
+        """Return " " and a note that compares with the paper; "" if the design is not that of the paper."""
         return f" {note}" if self.has_paper_design() else ""
 
     def mean_reading(self, light_dn: np.ndarray, exposure_s: float | None) -> np.ndarray:
-        """Return the mean reading [DN] of simulated light [DN]; the light itself if the sensor is unknown."""
+        """Return the mean reading [DN] of pixels with a mean light, including rounding and clipping of the sensor.
+
+        Parameters
+        ----------
+        light_dn : ndarray
+            Mean light, in DN above the black level, of any shape. It is returned unchanged if the sensor is unknown.
+        exposure_s : float or None
+            Exposure time; None (not recorded) counts as 0 s, without dark current.
+        """
         sensor = self._sensor_model()
         if sensor is None:
             return light_dn
@@ -110,7 +114,7 @@ class Results:
         return distribution.tabulate(float(np.max(light_dn))).mean(light_dn)
 
     def _sensor_model(self) -> SensorModel | None:
-        """Return the sensor of sensor.nc; None if its gain or read noise is unknown, or if there is no file."""
+        """Return the sensor in sensor.nc; None if gain or read noise is unknown, or if the file does not exist."""
         try:
             return read_sensor_model(self.get("sensor"))
         except Unavailable:

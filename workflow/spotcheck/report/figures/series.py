@@ -1,11 +1,11 @@
-"""Series of values over one axis of the grid, and texts about the grid.
+"""Series of values over one dimension of the grid of frames, and texts about the grid.
 
-The values of frames lie on a grid of angles, exposures, repeats and declared conditions. One dimension becomes the
-abscissa, one becomes the lines, and frames are averaged over all others.
+The grid has the dimensions angle, exposure and repeat, and one for each condition that the instrument file declares.
+In a plot one dimension becomes the abscissa, one has a line for each value, and frames are averaged over all others.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -16,13 +16,14 @@ from matplotlib.ticker import MaxNLocator
 from spotcheck.report.figures import style
 from spotcheck.report.figures.results import Unavailable
 
+# Units of the dimensions that every grid has; any other dimension is a declared condition.
 UNITS = {"angle": "degree", "exposure": "s", "repeat": "1"}
-# Largest number of values that are used as ticks.
-MAX_TICKS = 10
+# Ticks are at the values if there are at most MAX_TICKS, further apart than the range of the values / TICK_SLOTS.
+MAX_TICKS, TICK_SLOTS = 10, 14
 
 
 class PlotAxes(NamedTuple):
-    """Use of the dimensions of the grid in a plot."""
+    """Role of each dimension of the grid in a plot."""
 
     abscissa: str  # dimension on the abscissa
     lines: str | None  # dimension with one line per value; None for a single line
@@ -30,15 +31,19 @@ class PlotAxes(NamedTuple):
 
 
 class LineStatistics(NamedTuple):
-    """Statistics of frames, each [line, point]."""
+    """Statistics of a quantity over frames, each [line, point of the abscissa]."""
 
-    mean: np.ndarray  # mean; NaN without frames
-    sd: np.ndarray  # standard deviation (n − 1); NaN below two frames
+    mean: np.ndarray  # mean, in the unit of the quantity; NaN without frames
+    sd: np.ndarray  # standard deviation (n − 1), in the unit of the quantity; NaN below two frames
     frames: np.ndarray  # number of frames with a finite value
 
 
 def choose_axes(ds: xr.Dataset, grid: tuple[str, ...]) -> PlotAxes:
-    """Return the axes of a plot: the abscissa is the angle, a declared condition, the exposure or the repeat."""
+    """Return the role of each dimension of `grid` in a plot of values in `ds`.
+
+    The abscissa is the first of angle, declared conditions, exposure and repeat that has more than one value. Each
+    exposure is a line unless the exposure is the abscissa.
+    """
     conditions = [dim for dim in grid if dim not in UNITS]
     order = ("angle", *conditions, "exposure", "repeat")
     abscissa = next((dim for dim in order if ds.sizes[dim] > 1), "repeat")
@@ -47,10 +52,10 @@ def choose_axes(ds: xr.Dataset, grid: tuple[str, ...]) -> PlotAxes:
 
 
 def average_frames(values: xr.DataArray, axes: PlotAxes) -> LineStatistics:
-    """Return mean and standard deviation of values on the grid for each line and point; NaN is left out."""
-    kept = [dim for dim in (axes.lines, axes.abscissa) if dim]
-    array = values.transpose(*kept, *axes.pooled).values.astype(float)
-    array = array.reshape(*array.shape[: len(kept)], -1)
+    """Return the statistics of `values` on the grid of frames for each line and point; NaN is left out."""
+    plot_dims = [dim for dim in (axes.lines, axes.abscissa) if dim]
+    array = values.transpose(*plot_dims, *axes.pooled).values.astype(float)
+    array = array.reshape(*array.shape[: len(plot_dims)], -1)
     array = array if axes.lines else array[None]
     is_finite = np.isfinite(array)
     count = is_finite.sum(axis=-1)
@@ -61,16 +66,16 @@ def average_frames(values: xr.DataArray, axes: PlotAxes) -> LineStatistics:
 
 
 def require_values(statistics: LineStatistics, quantity: str) -> LineStatistics:
-    """Return the statistics. Raises `Unavailable` if no frame has a value."""
+    """Return the same statistics. Raises `Unavailable`, which names the `quantity`, if no frame has a value."""
     if not statistics.frames.any():
         raise Unavailable(f"no usable spot gives {quantity}")
     return statistics
 
 
 def axis_values(ds: xr.Dataset, dim: str) -> tuple[np.ndarray, str, str]:
-    """Return the values of a dimension in the displayed unit, that unit, and the axis label.
+    """Return the values of a dimension of the grid in the displayed unit, that unit, and the label of the axis.
 
-    The values are 0, 1, … if none were recorded.
+    If the values were not recorded, they are 0, 1, … and the unit is "".
     """
     if dim not in ds.coords:
         return np.arange(ds.sizes[dim], dtype=float), "", f"{style.axis_name(dim)} (number)"
@@ -80,7 +85,7 @@ def axis_values(ds: xr.Dataset, dim: str) -> tuple[np.ndarray, str, str]:
 
 
 def value_text(ds: xr.Dataset, dim: str, k: int) -> str:
-    """Return one value of a dimension as text: `500 µs`, `45°`, `repeat 3`; "" if it was not recorded."""
+    """Return the value at index `k` of a dimension as text: `500 µs`, `45°`, `repeat 3`; "" if not recorded."""
     if dim not in ds.coords:
         return ""
     values, unit, _ = axis_values(ds, dim)
@@ -89,20 +94,23 @@ def value_text(ds: xr.Dataset, dim: str, k: int) -> str:
 
 
 def condition_text(ds: xr.Dataset, index: dict[str, int]) -> str:
-    """Return the recorded values at an index of the grid as text: `45°, 500 µs`."""
+    """Return the recorded values at an index of some dimensions of the grid as text: `45°, 500 µs`."""
     return ", ".join(filter(None, (value_text(ds, dim, k) for dim, k in index.items())))
 
 
 def list_line_names(ds: xr.Dataset, axes: PlotAxes) -> list[str]:
-    """Return the name of each line in the legend; "" if its value was not recorded."""
+    """Return the value of each line as text for the legend; "" if it was not recorded or for a single line."""
     return [value_text(ds, axes.lines, k) for k in range(ds.sizes[axes.lines])] if axes.lines else [""]
 
 
 def set_abscissa(ax: Axes, ds: xr.Dataset, axes: PlotAxes) -> np.ndarray:
-    """Label the abscissa, set its ticks to the values if there are few, and return the values."""
+    """Label the abscissa, set its limits, and return its values in the displayed unit.
+
+    Ticks are at the values if these are few and far enough apart for their numbers.
+    """
     x, _, label = axis_values(ds, axes.abscissa)
     ax.set_xlabel(label)
-    if len(x) <= MAX_TICKS and (len(x) < 2 or np.diff(x).min() > np.ptp(x) / 14):
+    if len(x) <= MAX_TICKS and (len(x) < 2 or np.diff(x).min() > np.ptp(x) / TICK_SLOTS):
         ax.set_xticks(x, [f"{value:.4g}" for value in x])
     elif axes.abscissa == "repeat":
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -114,35 +122,35 @@ def set_abscissa(ax: Axes, ds: xr.Dataset, axes: PlotAxes) -> np.ndarray:
 
 
 def offset_lines(x: np.ndarray, count: int) -> np.ndarray:
-    """Return a small shift along the abscissa for each line, so that error bars do not overlap."""
-    gap = float(np.diff(x).min()) if len(x) > 1 else 1.0
-    step = min(0.1, 0.5 / max(count, 1)) * gap
+    """Return a small shift along the abscissa for each of `count` lines, so that error bars do not overlap.
+
+    `x` are the ascending values of the abscissa; the shifts [line] are in their unit.
+    """
+    distance = float(np.diff(x).min()) if len(x) > 1 else 1.0
+    # All lines together take at most half of the smallest distance between points.
+    step = min(0.1, 0.5 / max(count, 1)) * distance
     return step * (np.arange(count) - (count - 1) / 2)
 
 
 def draw_error_bars(
     ax: Axes, x: np.ndarray, mean: np.ndarray, sd: np.ndarray, line: style.LineStyle, is_filled: bool = True
 ) -> ErrorbarContainer:
-    """Draw markers joined by a thin line, with error bars if any standard deviation is known; return the handle."""
-    return ax.errorbar(
-        x,
-        mean,
-        yerr=sd if np.isfinite(sd).any() else None,
-        color=line.colour,
-        marker=line.marker,
-        markerfacecolor=line.colour if is_filled else "white",
-        linewidth=0.7,
-        elinewidth=1.1,
-    )
+    """Draw `mean` ± `sd` [point] over `x`, joined by a thin line; return the artist for the legend.
+
+    There are no error bars if no standard deviation is known. With `is_filled` the markers are filled, else white.
+    """
+    face = line.colour if is_filled else "white"
+    look: dict[str, Any] = {"color": line.colour, "marker": line.marker, "markerfacecolor": face, "linewidth": 0.7}
+    return ax.errorbar(x, mean, yerr=sd if np.isfinite(sd).any() else None, elinewidth=1.1, **look)
 
 
 def frames_text(statistics: LineStatistics, axes: PlotAxes) -> str:
-    """Return a sentence on the number of frames per point and the meaning of the error bars."""
+    """Return a sentence without full stop on the number of frames per point and the meaning of the error bars."""
     counts = statistics.frames[statistics.frames > 0]
     if counts.max() < 2:
         return "One frame a point, so there are no error bars"
-    over = " and ".join("repeats" if dim == "repeat" else style.axis_name(dim) for dim in axes.pooled) or "frames"
-    return f"Mean ± standard deviation (n − 1) over {over}, {range_text(counts)} frames a point"
+    pooled = " and ".join("repeats" if dim == "repeat" else style.axis_name(dim) for dim in axes.pooled) or "frames"
+    return f"Mean ± standard deviation (n − 1) over {pooled}, {range_text(counts)} frames a point"
 
 
 def range_text(counts: Sequence[int] | np.ndarray) -> str:
@@ -151,6 +159,6 @@ def range_text(counts: Sequence[int] | np.ndarray) -> str:
     return f"{low}" if low == high else f"{low} to {high}"
 
 
-def pick_evenly(count: int, most: int) -> np.ndarray:
-    """Return at most `most` of the indices 0 to `count` − 1, evenly spaced, with both ends."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+def pick_evenly(count: int, limit: int) -> np.ndarray:
+    """Return at most `limit` of the indices 0 to `count` − 1, evenly spaced and including both ends."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))

@@ -1,10 +1,10 @@
 """House style of the figures: sizes, colours, units on axes, and reproducible files."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -17,7 +17,7 @@ from spotcheck.io import store
 
 WIDTH = 6.5  # inch, the width of a page's text
 DPI = 150
-FORMATS = ("svg", "png")
+FORMATS = ("svg", "png")  # file formats, as suffixes
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -50,72 +50,70 @@ IMAGE_MAP, DIVERGING_MAP = "magma", "RdBu_r"
 # Colours that differ in hue and in lightness (Okabe and Ito).
 MEASURED, SIMULATED, ACCENT = "#0072B2", "#D55E00", "#009E73"
 LUMA = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in luma (ITU-R BT.601)
+# Part of the colour map viridis for lines; lighter colours are hard to see on white.
+LINE_COLOURS = (0.02, 0.80)
+SINGLE_LUMA = 0.36  # luma of a line that is alone
 DASHED = (0, (5, 2))  # line style of simulated curves
+# Markers and dashes of a series of lines; dashes alternate between stroke and gap, in line widths.
 MARKERS = "osD^vPX*"
-DASHES: tuple[tuple[float, ...], ...] = (
-    (6, 2),
-    (6, 2, 1.2, 2),
-    (1.2, 1.6),
-    (3, 1.5),
-    (9, 2, 3, 2),
-    (6, 1.5, 1, 1, 1, 1.5),
-)
-# Values below this fraction of the largest are rounding errors of zero, and choose no prefix.
+DASHES: Sequence[tuple[float, ...]]
+DASHES = ((6, 2), (6, 2, 1.2, 2), (1.2, 1.6), (3, 1.5), (9, 2, 3, 2), (6, 1.5, 1, 1, 1, 1.5))
+# Values below this fraction of the largest are rounding errors of zero; the choice of a prefix ignores them.
 ZERO_FRACTION = 1e-9
 # SI prefixes by power of ten.
 PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
-# Names of grid dimensions on an axis.
+# Largest value that is written without a power of ten.
+MAX_PLAIN = 1e4
+# Names on an axis of the dimensions of the grid of frames.
 NAMES = {"angle": "fibre orientation γ", "exposure": "exposure time $t$", "repeat": "repeat"}
+
+
+Extent = tuple[float, float, float, float]  # left, right, bottom and top edge of an image, in data coordinates
 
 
 class Drawing(NamedTuple):
     """A figure with its caption."""
 
-    figure: Figure  # the figure
+    figure: Figure  # figure without caption
     caption: str  # text below the figure
 
 
 class LineStyle(NamedTuple):
-    """Appearance of a series of measured values and of its simulated counterpart."""
+    """Appearance of a line of measured values and of its simulated counterpart."""
 
-    colour: Any  # colour of both
-    marker: str  # marker of both
-    dashes: tuple[float, ...]  # dashes of the simulated counterpart
+    colour: Any  # Matplotlib colour of both
+    marker: str  # Matplotlib marker of both
+    dashes: tuple[float, ...]  # strokes and gaps of the simulated counterpart, in line widths
 
 
 class DisplayUnit(NamedTuple):
     """A unit with SI prefix."""
 
-    factor: float  # displayed value / value in the SI unit
-    symbol: str  # symbol of the unit
+    factor: float  # displayed value / value in the unit without prefix
+    symbol: str  # symbol with prefix; "" for the unit 1
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Apply the house style, independent of the user's matplotlibrc."""
+    """Apply `RC` inside a with block; the user's matplotlibrc has no effect there."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(RC)
         yield
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Return an empty figure of a height and width [inch] with constrained layout."""
-    return Figure(figsize=(width, height), layout="constrained")
+def new_figure(
+    height: float, width: float = WIDTH, layout: Literal["constrained", "compressed"] = "constrained"
+) -> Figure:
+    """Return an empty figure; `height` and `width` are in inches.
 
-
-def new_image_grid(height: float) -> Figure:
-    """Return an empty figure of a height [inch] for a grid of images, without gaps due to their fixed aspect ratio."""
-    return Figure(figsize=(WIDTH, height), layout="compressed")
+    The layout "compressed" is for a grid of images: it closes the gaps that their fixed aspect ratio leaves.
+    """
+    return Figure(figsize=(width, height), layout=layout)
 
 
 def show_image(
-    ax: Axes,
-    image: np.ndarray,
-    cmap: str,
-    norm: Normalize,
-    extent: tuple[float, float, float, float] | None = None,
-    **properties: Any,
+    ax: Axes, image: np.ndarray, cmap: str, norm: Normalize, extent: Extent | None = None, **properties: Any
 ) -> AxesImage:
     """Draw an image [row, column] without grid lines.
 
@@ -124,77 +122,100 @@ def show_image(
     ax : Axes
         Axes to draw on.
     image : ndarray
-        Image; NaN is transparent.
+        Values [row, column]; NaN is transparent.
     cmap : str
         Name of the colour map.
     norm : Normalize
         Scale of the colours.
     extent : tuple of float, optional
-        Left, right, bottom and top edge; by default pixel centres are at integers.
+        Edges of the image; by default pixel centres are at integers.
     **properties
-        Properties of the axes, such as `title`.
+        Properties of the axes for `Axes.set`, such as `title`.
+
+    Returns
+    -------
+    AxesImage
+        The drawn image, for a colour bar.
     """
-    shown = ax.imshow(image, cmap=cmap, norm=norm, extent=extent)
+    artist = ax.imshow(image, cmap=cmap, norm=norm, extent=extent)
     ax.grid(False)
     ax.set(**properties)
-    return shown
+    return artist
 
 
-def centred_extent(shape: tuple[int, ...], row: float, column: float) -> tuple[float, float, float, float]:
-    """Return the extent of an image [row, column] in px relative to a centre; pixel centres are at integers."""
+def centred_extent(shape: tuple[int, ...], row: float, column: float) -> Extent:
+    """Return left, right, bottom and top edge [px] of an image of shape (rows, columns), relative to a centre.
+
+    `row` and `column` are the centre in coordinates in which the centres of pixels are integers.
+    """
     return -0.5 - column, shape[1] - 0.5 - column, shape[0] - 0.5 - row, -0.5 - row
 
 
 def line_styles(count: int) -> list[LineStyle]:
-    """Return styles for `count` ordered series, from dark to light in equal steps of luma."""
-    shades = matplotlib.colormaps["viridis"](np.linspace(0.02, 0.80, 200))
+    """Return the styles of `count` ordered lines, from dark to light in equal steps of luma."""
+    shades = matplotlib.colormaps["viridis"](np.linspace(*LINE_COLOURS, 200))
     luma = shades[:, :3] @ LUMA
-    steps = np.linspace(luma[0], luma[-1], count) if count > 1 else np.array([0.36])
-    colours = shades[np.searchsorted(luma, steps).clip(0, len(shades) - 1)]
+    line_luma = np.linspace(luma[0], luma[-1], count) if count > 1 else np.array([SINGLE_LUMA])
+    colours = shades[np.searchsorted(luma, line_luma).clip(0, len(shades) - 1)]
     return [LineStyle(colour, MARKERS[k % len(MARKERS)], DASHES[k % len(DASHES)]) for k, colour in enumerate(colours)]
 
 
 def choose_unit(values: Any, unit: str) -> DisplayUnit:
-    """Return the unit with the prefix that makes the smallest value at least 1; degrees and px have no prefix."""
+    """Return the unit with the SI prefix that makes the smallest absolute value at least 1.
+
+    Parameters
+    ----------
+    values : array_like
+        Values in `unit`, of any shape. NaN and rounding errors of zero are ignored; without other values there is no
+        prefix.
+    unit : str
+        SI unit, or "degree", "1", "pixel" or "K", which have no prefix.
+    """
     if unit in ("degree", "1", "pixel", "K"):
         return DisplayUnit(1.0, {"degree": "°", "pixel": "px", "1": ""}.get(unit, unit))
-    size = np.abs(np.asarray(values, float))
-    size = size[np.isfinite(size)]
-    size = size[size > ZERO_FRACTION * size.max(initial=0.0)]
-    power = 0 if not size.size else int(np.clip(3 * np.floor(np.log10(size.min() * (1 + 1e-9)) / 3), -12, 6))
+    sizes = np.abs(np.asarray(values, float))
+    sizes = sizes[np.isfinite(sizes)]
+    sizes = sizes[sizes > ZERO_FRACTION * sizes.max(initial=0.0)]
+    # The factor keeps 1e-3 at the prefix m if rounding makes it slightly smaller.
+    power = 0 if not sizes.size else int(np.clip(3 * np.floor(np.log10(sizes.min() * (1 + 1e-9)) / 3), -12, 6))
     return DisplayUnit(10.0**-power, PREFIXES[power] + unit)
 
 
 def axis_label(name: str, unit: str) -> str:
-    """Return the label of an axis: quantity / unit."""
+    """Return the label of an axis, quantity / unit; only the quantity if the unit is ""."""
     return f"{name} / {unit}" if unit else name
 
 
 def axis_name(dim: str) -> str:
-    """Return the name of a grid dimension on an axis; a declared condition loses the suffix of its unit."""
+    """Return the name on an axis of a dimension of the grid; the unit of a declared condition is removed: z for z_m."""
     return NAMES.get(dim, dim.rsplit("_", 1)[0].replace("_", " ") if "_" in dim else dim)
 
 
 def format_value(value: float, unit: str) -> str:
-    """Return a value with its unit: `500 µs`, `45°`."""
+    """Return a value with its unit as text, to four digits: `500 µs`, `45°`."""
     return f"{value:.4g}{'' if unit in ('', '°') else ' '}{unit}"
 
 
 def choose_power_of_ten(largest: float) -> tuple[float, str]:
-    """Return the divisor for large values and its text: (1e6, "10⁶ ") for millions, (1, "") below 10 000."""
-    if not np.isfinite(largest) or abs(largest) < 1e4:
+    """Return a divisor for values up to `largest`, and its text for an axis label.
+
+    The text is mathematical text of Matplotlib with a trailing space: "$10^{6}$ ". It is "" for the divisor 1.
+    """
+    if not np.isfinite(largest) or abs(largest) < MAX_PLAIN:
         return 1.0, ""
+    # A value is divided by the next power from two thirds of it on: 0.7 million, not 700 thousand.
     power = int(3 * np.floor(np.log10(abs(largest) * 1.5) / 3))
     return 10.0**power, f"$10^{{{power}}}$ "
 
 
 def add_legend(figure: Figure, handles: list, labels: list[str], columns: int) -> None:
-    """Add a legend above the axes, where it cannot cover data."""
+    """Add a legend above the axes, where it cannot cover data; `labels` are the texts of the `handles` (artists)."""
     figure.legend(handles, labels, loc="outside upper center", ncols=columns, handlelength=3.2, columnspacing=1.6)
 
 
 def save_drawing(drawing: Drawing, folder: Path, name: str) -> None:
-    """Write `<name>.svg` and `<name>.png`, whole or not at all, without date and version of the software."""
+    """Write `<name>.svg` and `<name>.png` into a folder; each file is written completely or not at all."""
+    # Without date and version of the software, equal figures give equal files.
     for suffix in FORMATS:
         stream = io.BytesIO()
         metadata = {"Date": None, "Creator": None} if suffix == "svg" else {"Software": None}

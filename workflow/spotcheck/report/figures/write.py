@@ -10,21 +10,22 @@ from spotcheck.report.figures.results import Results, Unavailable
 
 
 def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None = None) -> dict[str, list]:
-    """Write figures as SVG and PNG with index.json.
+    """Draw figures and write them as SVG and PNG, with index.json.
 
     Parameters
     ----------
     results : Results
         Results of a dataset.
     folder : Path
-        Folder to write to. The files of figures that cannot be drawn are removed from it.
+        Folder to write to. Earlier files of figures that can no longer be drawn are removed from it.
     entries : tuple of Entry, optional
-        The figures; by default all.
+        Entries of the figures to draw; by default all.
 
     Returns
     -------
     dict of str to list
-        Content of index.json: `figures` that were drawn, and `skipped` ones with the reason.
+        Content of index.json. `figures` has name, title, caption, category and figure of the paper of each figure that
+        was drawn. `skipped` has name, title and reason (`why`) of each figure that the results do not support.
     """
     drawn: list[dict[str, str | None]] = []
     skipped: list[dict[str, str | None]] = []

@@ -11,6 +11,7 @@ import jinja2
 
 from spotcheck.io import store
 
+# Templates of this folder and of the folder `report`; they also write the Markdown of the effects.
 TEMPLATES = jinja2.Environment(
     loader=jinja2.FileSystemLoader([Path(__file__).parent, Path(__file__).parents[1]]),
     autoescape=True,
@@ -27,8 +28,8 @@ def write_page(path: str | Path, template: str, **content: Any) -> None:
     path : str or Path
         Page to write.
     template : str
-        Template, relative to this folder or to the folder `report`.
+        Path of the template, relative to this folder or to the folder `report`.
     **content
-        Variables of the template.
+        Variables of the template; text is escaped unless it is `Markup`.
     """
     store.write_text(path, TEMPLATES.get_template(template).render(**content))

@@ -12,9 +12,10 @@ from spotcheck.report import provenance
 
 
 class Citations:
-    """Mark texts of numbers with the source of the number.
+    """Mark texts of numbers with the source of the number, as HTML that shows the source on hover.
 
-    A text is marked if it has a digit and a result holds its number; otherwise it is only escaped.
+    A text is marked if it has a digit and a result holds its number; otherwise it is only escaped. The key of a number
+    is its name for `spotcheck explain`, such as `calibration.p1_mean`.
 
     Parameters
     ----------
@@ -26,11 +27,14 @@ class Citations:
         self.results = results
 
     def cite(self, text: str, key: str) -> Markup:
-        """Return the marked text of a number; `key` is its name for `spotcheck explain`."""
+        """Return the marked text of the number with a key."""
         return _mark(text, key, self._describe(key))
 
     def cite_frame(self, text: str, table: str, frame: str) -> Markup:
-        """Return the marked text of a number of one frame; `table` is file and variable, such as `fits.sigma_mean`."""
+        """Return the marked text of a number of one frame.
+
+        `table` is file and variable, such as `fits.sigma_mean`; `frame` is the label of the frame.
+        """
         source = ""
         with suppress(InputError):
             source = provenance.frame_hover_text(self.results, table, frame)
@@ -44,7 +48,7 @@ class Citations:
         sentence : str
             The sentence, not escaped.
         keys : mapping of str to str
-            Key of each number, by its text in the sentence.
+            Key of each number, by its text in the sentence, not escaped. Texts that the sentence lacks are ignored.
         """
         html = str(escape(sentence))
         for text, key in keys.items():
@@ -62,7 +66,7 @@ class Citations:
 
 
 def _mark(text: str, key: str, source: str) -> Markup:
-    """Return a text with its key and source; without digits, such as a dash, or without a source only the text."""
+    """Return the HTML of a text with its key and source; a text without digits or source ("") is only escaped."""
     if not source or not any(character.isdigit() for character in str(text)):
         return escape(text)
     return Markup('<span class="from" data-key="{}" title="{}">{}</span>').format(key, source, text)

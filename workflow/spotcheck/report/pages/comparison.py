@@ -1,4 +1,9 @@
-"""The page that compares several datasets."""
+"""The page that compares several datasets.
+
+A change is the difference of a number from the first dataset that has it; z is the normal deviate with the p-value of
+the test against no change. A trend is the slope of a number over the dates or the order of the datasets. The verdict of
+a dataset names the effects that the model of its frames lacks.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -15,30 +20,37 @@ from spotcheck.report.comparison.numbers import GROUPS, Measurement
 from spotcheck.report.comparison.table import Comparison, Row, conditions_text, label_quantity
 from spotcheck.report.pages import plots, write_page
 
-# Most rows of the table of significant changes and of the plot of z, which should fit on a screen. comparison.nc has
+# Most rows of the table of significant changes, and of the plot of z, which should fit on a screen. comparison.nc has
 # all of them.
 MOST_CHANGES, MOST_DRAWN = 100, 20
 # Most rows in the table of a group.
 MOST_ROWS = 200
-# Most datasets, and most conditions, that a sentence lists.
+# Most datasets and most conditions that a sentence lists.
 MOST_NAMED, MOST_CONDITIONS = 4, 5
-# Height of a row of the plot of z, which has a name above its points, and of everything around the rows [rem].
+# Height of the plot of z [rem]: of a row, with a name above its points, and of everything around the rows.
 ROW_REM, FRAME_REM = 2.1, 6.0
 RISE, FALL = "▲", "▼"
+# Margin of the abscissa of the plot of z at each end, as a share of its range.
+Z_MARGIN = 0.05
+# From this |z| on, z is written without decimals.
+LARGE_Z = 10
+
+Point = tuple[float, str, str]  # point of the plot of z: z, name of its row, text on hover
 
 
 def write_comparison_page(comparison: Comparison, path: Path, code: str) -> None:
-    """Write the page, with links to the reports of the datasets.
+    """Write comparison.html, with links to the reports of the datasets.
 
     Parameters
     ----------
     comparison : Comparison
-        The datasets, their shared numbers and the differences.
+        The datasets, their shared numbers, the differences and the trends.
     path : Path
         Page to write.
     code : str
         Digest of the code that made the comparison.
     """
+    # Each significant change as its row and the index of its dataset.
     changes = [(row, k) for row in comparison.rows for k, is_changed in enumerate(row.is_changed) if is_changed]
     content: dict[str, Any] = {
         "title": f"Comparison of {list_text([dataset.label for dataset in comparison.datasets])}",
@@ -60,46 +72,42 @@ def write_comparison_page(comparison: Comparison, path: Path, code: str) -> None
         "not_compared": [*comparison.remarks, *_list_unshared(comparison)],
         "code": code,
     }
-    texts = (
-        number_text,
-        change_text,
-        difference_text,
-        z_text,
-        direction,
-        label_quantity,
-        conditions_text,
-        probability_text,
-    )
-    content |= {function.__name__: function for function in texts}
+    # Functions that the template calls by their names.
+    formatters = [number_text, change_text, difference_text, z_text, direction]
+    formatters += [label_quantity, conditions_text, probability_text]
+    content |= {function.__name__: function for function in formatters}
     write_page(path, "comparison.html", **plots.plotly_content(), **content)
 
 
 def _summarize(comparison: Comparison, changes: Sequence[tuple[Row, int]]) -> str:
-    """Return one or two sentences: the first significant change, and the number of others."""
+    """Return one or two sentences: the first significant change, and the number of other changed quantities.
+
+    `changes` are pairs of a row and the index of the dataset that changed.
+    """
     labels = [dataset.label for dataset in comparison.datasets]
     if not changes:
         more = f" and {len(labels) - MOST_NAMED} more" if len(labels) > MOST_NAMED else ""
         return f"No quantity of {list_text(labels[1:MOST_NAMED])}{more} differs significantly from {labels[0]}."
     row, k = changes[0]
-    values = [f"{number_text(row.numbers[at])} in {labels[at]}" for at in (row.first, k)]
+    values = [f"{number_text(row.numbers[index])} in {labels[index]}" for index in (row.first, k)]
     change = f"{label_quantity(row.name)} changed from {values[0]} to {values[1]}."
-    others = len({row.name for row, _ in changes}) - 1
-    if not others:
+    other_count = len({row.name for row, _ in changes}) - 1
+    if not other_count:
         return f"{change} No other quantity changed significantly."
-    return f"{change} {others} more of {len(comparison.rows)} quantities changed significantly."
+    return f"{change} {other_count} more of {len(comparison.rows)} quantities changed significantly."
 
 
 def _compare_effects(datasets: Sequence[DatasetResults]) -> str:
     """Return a sentence on effects that the first verdict and another one do not share; "" if there are none."""
-    named = [(d.label, {effect["name"] for effect in d.verdict["effects"]}) for d in datasets if d.verdict]
-    parts = []
-    for label, names in named[1:]:
-        additional, lacking = list_text(sorted(names - named[0][1])), list_text(sorted(named[0][1] - names))
-        differences = [f"{verb} {effects}" for verb, effects in (("adds", additional), ("lacks", lacking)) if effects]
-        parts += [f"{label} {' and '.join(differences)}"] if differences else []
-    more = [f"and {len(parts) - MOST_NAMED} more"] if len(parts) > MOST_NAMED else []
-    listed = "; ".join(parts[:MOST_NAMED] + more)
-    return f"Effects in the verdicts, relative to {named[0][0]}: {listed}." if parts else ""
+    effects = [(d.label, {effect["name"] for effect in d.verdict["effects"]}) for d in datasets if d.verdict]
+    clauses = []
+    for label, names in effects[1:]:
+        additional, lacking = list_text(sorted(names - effects[0][1])), list_text(sorted(effects[0][1] - names))
+        differences = [f"{verb} {listed}" for verb, listed in (("adds", additional), ("lacks", lacking)) if listed]
+        clauses += [f"{label} {' and '.join(differences)}"] if differences else []
+    more = [f"and {len(clauses) - MOST_NAMED} more"] if len(clauses) > MOST_NAMED else []
+    listed_clauses = "; ".join(clauses[:MOST_NAMED] + more)
+    return f"Effects in the verdicts, relative to {effects[0][0]}: {listed_clauses}." if clauses else ""
 
 
 def number_text(number: Measurement) -> str:
@@ -108,37 +116,37 @@ def number_text(number: Measurement) -> str:
 
 
 def change_text(change: Change, units: str) -> str:
-    """Return a difference or slope with its sign, error and unit."""
+    """Return a difference or slope with its sign, error and unit: `+0.12 ± 0.03 px`."""
     text = quantity_text(change.value, change.stderr, units)
     return text if text.startswith("−") else f"+{text}"
 
 
 def difference_text(change: Change, units: str) -> str:
-    """Return a difference, "equal" if it is 0 and has no error, "" if it is unknown."""
+    """Return a difference as `change_text` does; "equal" if it is 0 without an error, "" if it is unknown."""
     if np.isnan(change.value):
         return ""
     return "equal" if change.value == 0 and np.isnan(change.z) else change_text(change, units)
 
 
 def z_text(z: float) -> str:
-    """Return z with its sign, from ±10 on without decimals; "" if it is unknown."""
+    """Return z with its sign, with one decimal below `LARGE_Z`; "" if it is unknown."""
     if not np.isfinite(z):
         return ""
-    return (f"{z:+.1f}" if abs(z) < 10 else f"{z:+.0f}").replace("-", "−")
+    return (f"{z:+.1f}" if abs(z) < LARGE_Z else f"{z:+.0f}").replace("-", "−")
 
 
 def direction(change: Change) -> str:
-    """Return an arrow up for a positive difference or slope, or else an arrow down."""
+    """Return an arrow: up for a positive difference or slope, else down."""
     return RISE if change.value > 0 else FALL
 
 
 def _describe_dataset(comparison: Comparison, k: int, path: Path) -> dict[str, Any]:
-    """Return a row of the table of datasets; `path` is the page, to which links are relative."""
+    """Return the row of the k-th dataset in the table of datasets; links are relative to the page at `path`."""
     dataset = comparison.datasets[k]
     report, verdict = dataset.folder / "report.html", dataset.verdict
     changed = sum(row.is_changed[k] for row in comparison.rows)
     tested = sum(np.isfinite(row.changes[k].p_value) for row in comparison.rows)
-    # Without an added effect there is no closed gap.
+    # Share of the gap between model and frames that the added effects close; None without an added effect.
     closed = verdict["gap"]["closed"] if verdict and verdict["effects"] else None
     return {
         "label": dataset.label,
@@ -148,6 +156,7 @@ def _describe_dataset(comparison: Comparison, k: int, path: Path) -> dict[str, A
         "date": f"{dataset.mean_time:%Y-%m-%d}" if dataset.mean_time else "",
         "status": verdict["status"].replace("_", " ") if verdict else "no verdict",
         "sentence": verdict["sentence"].splitlines()[0] if verdict else "",
+        # Noise may raise the closed share above 1.
         "closed": "–" if closed is None else percent_text(min(closed, 1.0)),
         "changed": "the reference" if k == 0 else f"{changed} of {tested} quantities",
     }
@@ -159,12 +168,16 @@ def _largest_z(row: Row) -> float:
 
 
 def _plot_z(comparison: Comparison) -> dict[str, Any] | None:
-    """Return the plot of z of the quantities that differ most; None if no difference was tested."""
+    """Return figure, texts and height of the plot of z, for the quantities that differ most.
+
+    Returns None if no difference was tested.
+    """
     tested = [row for row in comparison.rows if np.isfinite([change.z for change in row.changes]).any()]
     if not tested:
         return None
     rows = sorted(tested, key=_largest_z, reverse=True)[:MOST_DRAWN]
-    points: dict[bool, list[tuple[float, str, str]]] = {True: [], False: []}
+    # Points by whether their change is significant.
+    points: dict[bool, list[Point]] = {True: [], False: []}
     for row in rows:
         for dataset, number, change, is_changed in zip(
             comparison.datasets, row.numbers, row.changes, row.is_changed, strict=True
@@ -174,23 +187,23 @@ def _plot_z(comparison: Comparison) -> dict[str, Any] | None:
                 points[is_changed].append((round(change.z, 3), label_quantity(row.name), f"{dataset.label}: {text}"))
     changed = ", ".join(label_quantity(row.name) for row in rows if any(row.is_changed)) or "none"
     return {
-        "figure": plots.figure_json(_z_traces(points), _z_layout(rows, points)),
+        "figure": plots.figure_json(_build_z_traces(points), _build_z_layout(rows, points)),
         "alt": f"Differences from {comparison.datasets[0].label} over their errors. Significant: {changed}.",
         "height": f"{FRAME_REM + ROW_REM * len(rows):g}rem",
         "omitted": len(comparison.rows) - len(rows),
     }
 
 
-def _z_traces(points: dict[bool, list[tuple[float, str, str]]]) -> list[dict[str, Any]]:
-    """Return the traces of the plot of z: significant points (z, row, hover text) are filled, others open."""
+def _build_z_traces(points: dict[bool, list[Point]]) -> list[dict[str, Any]]:
+    """Return the Plotly traces of the plot of z: significant points (True) are filled, others open."""
     styles = {
         True: {"symbol": "circle", "size": 11, "color": "var(--simulated)"},
         False: {"symbol": "circle-open", "size": 9, "color": "var(--measured)", "line": {"width": 2}},
     }
     traces = []
-    for is_changed, members in points.items():
-        if members:
-            z, names, texts = zip(*members, strict=True)
+    for is_changed, points_of_trace in points.items():
+        if points_of_trace:
+            z, names, texts = zip(*points_of_trace, strict=True)
             traces.append({
                 "type": "scatter", "mode": "markers", "name": "significant" if is_changed else "not significant",
                 "marker": styles[is_changed], "cliponaxis": False, "x": z, "y": names, "text": texts,
@@ -199,10 +212,11 @@ def _z_traces(points: dict[bool, list[tuple[float, str, str]]]) -> list[dict[str
     return traces
 
 
-def _z_layout(rows: Sequence[Row], points: dict[bool, list[tuple[float, str, str]]]) -> dict[str, Any]:
-    """Return the layout of the plot of z; the range of its axis has a margin and includes 0."""
-    z = [0.0, *(point[0] for members in points.values() for point in members)]
-    margin = 0.05 * max(max(z) - min(z), 1.0)
+def _build_z_layout(rows: Sequence[Row], points: dict[bool, list[Point]]) -> dict[str, Any]:
+    """Return the Plotly layout of the plot of z; the range of the abscissa has a margin and includes 0."""
+    z = [0.0, *(point[0] for points_of_trace in points.values() for point in points_of_trace)]
+    margin = Z_MARGIN * max(max(z) - min(z), 1.0)
+    # The first category of Plotly is at the bottom.
     order = [label_quantity(row.name) for row in rows][::-1]
     # Names are placed above their points, so that they fit into a narrow window.
     names = [
@@ -223,14 +237,14 @@ def _z_layout(rows: Sequence[Row], points: dict[bool, list[tuple[float, str, str
 
 
 def _tabulate_effects(datasets: Sequence[DatasetResults]) -> list[tuple[str, list[str]]]:
-    """Return each effect that a verdict names, with its state in every verdict."""
+    """Return a row for each effect that a verdict names: its name, and its state in the verdict of each dataset."""
     verdicts = [dataset.verdict for dataset in datasets]
     names = dict.fromkeys(effect["name"] for verdict in verdicts if verdict for effect in verdict["effects"])
     return [(name, [_effect_state(name, verdict) for verdict in verdicts]) for name in names]
 
 
 def _effect_state(name: str, verdict: dict[str, Any] | None) -> str:
-    """Return whether a verdict names an effect, and otherwise its upper limit or why there is none."""
+    """Return in words whether a verdict names an effect, and otherwise its upper limit or why there is none."""
     if verdict is None:
         return "no verdict"
     for effect in verdict["effects"]:
@@ -246,7 +260,7 @@ def _effect_state(name: str, verdict: dict[str, Any] | None) -> str:
 
 
 def _tabulate_groups(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield each group of quantities with their values in every dataset."""
+    """Yield the content of the table of each group of quantities; of a long one, the rows with the largest |z|."""
     for group in GROUPS:
         rows = [row for row in comparison.rows if row.name.group == group]
         if rows:
@@ -262,7 +276,10 @@ def _tabulate_groups(comparison: Comparison) -> Iterator[dict[str, Any]]:
 
 
 def _quantities_json(comparison: Comparison) -> str:
-    """Return the data of comparison.js: values of each quantity, significant trends first, then significant changes."""
+    """Return the data of comparison.js as JSON: the values of each quantity and its trend.
+
+    Quantities with significant trends come first, then those with significant changes.
+    """
     rows = sorted(comparison.rows, key=lambda row: (not row.has_trend, not any(row.is_changed)))
     quantities = [
         {
@@ -289,7 +306,7 @@ def _quantities_json(comparison: Comparison) -> str:
 
 
 def _trend_text(comparison: Comparison, row: Row) -> str:
-    """Return the slope of a quantity over the datasets; "" if it is unknown."""
+    """Return the slope of a quantity over the datasets, with its z and significance; "" if it is unknown."""
     trend = row.trend
     if not np.isfinite(trend.value):
         return ""
@@ -300,7 +317,7 @@ def _trend_text(comparison: Comparison, row: Row) -> str:
 
 
 def _list_unshared(comparison: Comparison) -> Iterator[str]:
-    """Yield sentences on quantities and conditions of one dataset only, and on stages that were skipped in one."""
+    """Yield sentences without full stop on quantities, conditions and stages that other datasets do not share."""
     shared = {row.name for row in comparison.rows}
     for dataset in comparison.datasets:
         names = [name for name in dataset.numbers if name not in shared]
@@ -309,9 +326,9 @@ def _list_unshared(comparison: Comparison) -> Iterator[str]:
         if quantities:
             yield f"Only {dataset.label} has {list_text(quantities)}"
         if conditions:
-            more = len(conditions) - MOST_CONDITIONS
-            listed = list_text(conditions[:MOST_CONDITIONS])
-            yield f"Only {dataset.label} has spots at {listed}" + (f", and {more} more conditions" if more > 0 else "")
+            omitted = len(conditions) - MOST_CONDITIONS
+            more = f", and {omitted} more conditions" if omitted > 0 else ""
+            yield f"Only {dataset.label} has spots at {list_text(conditions[:MOST_CONDITIONS])}{more}"
         for stage, why in dataset.skipped.items():
             if any(stage not in other.skipped for other in comparison.datasets):
                 yield f"{dataset.label} has no {stage}: {why}"

@@ -1,4 +1,9 @@
-"""The page that describes the vocabulary of effects, as Markdown."""
+"""The page that describes the vocabulary of effects, as Markdown.
+
+An effect is a physical cause of a difference between model and frames. The vocabulary is the list of effects that a
+run tests. Bounds of parameters may depend on scales of the data (`EffectScales`), such as the width of the spot; the
+page shows such a bound as a formula.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -10,8 +15,8 @@ from spotcheck.model.effects import built_in, vocabulary
 from spotcheck.model.stage import Stage
 from spotcheck.report.pages import TEMPLATES
 
-# Names of the scales that a bound may depend on, in the order of `EffectScales`.
-SCALES = (
+# Names of the scales on the page, in the order of the fields of `EffectScales`.
+SCALE_NAMES = (
     "σ_g",
     "peak",
     "full scale",
@@ -23,7 +28,7 @@ SCALES = (
     "longest exposure",
 )
 
-# Examples of effects, which the page shows.
+# Examples of effects that the page shows: one that changes the mean reading, and one that is random.
 MEAN_EXAMPLE = '''"""Vignetting: the light falls off from the frame's centre."""
 
 import numpy as np
@@ -80,29 +85,32 @@ EFFECT = Effect(
 
 
 class _Expression:
-    """An unknown quantity: arithmetic with it returns the formula as text."""
+    """A scale without a value; arithmetic with it gives the formula as text instead of a number.
+
+    `text` is the formula; `is_sum` says whether it needs brackets within a product.
+    """
 
     def __init__(self, text: str, is_sum: bool = False):
         self.text, self.is_sum = text, is_sum
 
     def _join(self, sign: str, other, swapped: bool = False) -> "_Expression":
-        """Return the formula of a binary operation; `swapped` if the other operand is on the left."""
+        """Return the formula of a binary operation; `other` is a number or formula, on the left if `swapped`."""
         left, right = (other, self) if swapped else (self, other)
         is_product = sign in "×/"
-        right_text = _text(right, is_product or sign == "−")
-        return _Expression(f"{_text(left, is_product)} {sign} {right_text}", not is_product)
+        right_text = _format_term(right, is_product or sign == "−")
+        return _Expression(f"{_format_term(left, is_product)} {sign} {right_text}", not is_product)
 
     __mul__, __rmul__ = partialmethod(_join, "×"), partialmethod(_join, "×", swapped=True)
     __truediv__, __rtruediv__ = partialmethod(_join, "/"), partialmethod(_join, "/", swapped=True)
     __add__, __radd__ = partialmethod(_join, "+"), partialmethod(_join, "+", swapped=True)
     __sub__, __rsub__ = partialmethod(_join, "−"), partialmethod(_join, "−", swapped=True)
 
-    def __neg__(self):
-        return _Expression(f"−{_text(self, True)}")
+    def __neg__(self) -> "_Expression":
+        return _Expression(f"−{_format_term(self, True)}")
 
 
-def _text(value: float | _Expression, in_brackets: bool = False) -> str:
-    """Return a number or a formula as text; `in_brackets` puts brackets around a sum."""
+def _format_term(value: float | _Expression, in_brackets: bool = False) -> str:
+    """Return a number or a formula as text; `in_brackets` puts brackets around a sum. Infinity is "any"."""
     if isinstance(value, _Expression):
         return f"({value.text})" if value.is_sum and in_brackets else value.text
     if math.isinf(value):
@@ -110,30 +118,37 @@ def _text(value: float | _Expression, in_brackets: bool = False) -> str:
     return f"{value:.12g}".replace("-", "−")
 
 
-def describe_bound(end: float | Callable[[EffectScales], float]) -> str:
-    """Return a bound of a parameter as a number, or as a formula if it depends on the data."""
-    if not callable(end):
-        return _text(end)
+def describe_bound(bound: float | Callable[[EffectScales], float]) -> str:
+    """Return a bound of a parameter as a number, or as a formula of the scales if it depends on the data."""
+    if not callable(bound):
+        return _format_term(bound)
     try:
-        return _text(end(EffectScales(*map(_Expression, SCALES))))  # type: ignore[arg-type]
-    except TypeError:  # more than arithmetic
+        return _format_term(bound(EffectScales(*map(_Expression, SCALE_NAMES))))  # type: ignore[arg-type]
+    except TypeError:  # the function does more than arithmetic
         return "set by the data"
 
 
 def _parameter_row(parameter: Parameter, vanishes_at: float | None) -> str:
-    """Return the table row of a parameter; `vanishes_at` is None unless the parameter is the strength."""
+    """Return the Markdown table row of a parameter.
+
+    `vanishes_at` is the value at which the effect vanishes; None unless the parameter is the strength, NaN if there is
+    no such value.
+    """
     notes = ["of the variant"] if parameter.is_variant_specific else []
     if vanishes_at is not None and not math.isnan(vanishes_at):
-        notes.append("vanishes at " + ("∞" if math.isinf(vanishes_at) else _text(vanishes_at)))
+        notes.append("vanishes at " + ("∞" if math.isinf(vanishes_at) else _format_term(vanishes_at)))
     if parameter.negligible:
         notes.append(f"negligible if nearer than {describe_bound(parameter.negligible)}")
-    bounds = (describe_bound(end) for end in (parameter.low, parameter.high))
+    bounds = (describe_bound(bound) for bound in (parameter.low, parameter.high))
     cells = (f"`{parameter.name}`", parameter.unit, *bounds, "; ".join(notes))
     return "| " + " | ".join(cells) + " |"
 
 
 def _describe_stages(effect: Effect) -> str:
-    """Return the stages at which an effect acts, and the scopes of its random steps."""
+    """Return the stages of the forward model at which an effect acts, and the scopes of its random steps.
+
+    A scope says whether a step is drawn for each frame, for each site, or once for the sensor.
+    """
     if not effect.stages:
         return "Stage: profile (the baseline holds the learned shape)."
     texts = []
@@ -141,14 +156,14 @@ def _describe_stages(effect: Effect) -> str:
         steps = [step for variant in effect.variants.values() for step in variant if step.stage is stage]
         random_steps = [step for step in steps if isinstance(step, RandomStep)]
         scopes = sorted({step.scope.value for step in random_steps})
-        drawn = f", drawn for each {' and '.join(scopes)}" if scopes else ""
-        some = " in some variants" if 0 < len(random_steps) < len(steps) else ""
-        texts.append(f"{stage.title} ({stage.value.action}{drawn}{some})")
+        scope_text = f", drawn for each {' and '.join(scopes)}" if scopes else ""
+        variant_text = " in some variants" if 0 < len(random_steps) < len(steps) else ""
+        texts.append(f"{stage.title} ({stage.value.action}{scope_text}{variant_text})")
     return f"Stage: {'; '.join(texts)}."
 
 
 def describe_effect(effect: Effect) -> str:
-    """Return the section of one effect: its sentence, stages, parameters and variants."""
+    """Return the Markdown section of one effect: its sentence, stages, parameters and variants."""
     notes = [_describe_stages(effect)]
     if effect.needs:
         notes.append(f"Detectable only with: {', '.join(need.value for need in effect.needs)}.")
@@ -161,8 +176,8 @@ def describe_effect(effect: Effect) -> str:
     if len(effect.variants) > 1:
         texts = []
         for variant in effect.variants:
-            present = effect.parameters_of(variant)
-            unused = [parameter.name for parameter in effect.parameters if parameter not in present]
+            used = effect.parameters_of(variant)
+            unused = [parameter.name for parameter in effect.parameters if parameter not in used]
             texts.append(f"`{variant.value}`" + (f" (without {', '.join(unused)})" if unused else ""))
         notes.append(f"Variants: {', '.join(texts)}.")
     if effect.reference:
@@ -171,41 +186,30 @@ def describe_effect(effect: Effect) -> str:
     rows = [_parameter_row(strength, effect.vanishes_at), *(_parameter_row(parameter, None) for parameter in others)]
     link = f"[{effect.name}](../spotcheck/model/effects/{effect.name}.py)"
     title = link if effect.name in built_in() else effect.name
-    return "\n".join(
-        [
-            f"## {effect.number}. {title}",
-            "",
-            f"{effect.sentence[0].upper()}{effect.sentence[1:]}.",
-            "",
-            "  \n".join(notes),
-            "",
-            "| parameter | unit | lowest | highest | |",
-            "|---|---|---|---|---|",
-            *rows,
-            "",
-        ]
-    )
+    sentence = f"{effect.sentence[0].upper()}{effect.sentence[1:]}."
+    text_lines = [f"## {effect.number}. {title}", "", sentence, "", "  \n".join(notes), ""]
+    table_lines = ["| parameter | unit | lowest | highest | |", "|---|---|---|---|---|", *rows, ""]
+    return "\n".join(text_lines + table_lines)
 
 
 def _special_case(name: str) -> str:
-    """Return an effect's name, or words for all laws of a quantity."""
+    """Return an effect's name; if `name` is a quantity, such as "width", words for all its laws."""
     return name if name in vocabulary() else f"every law of the {name}"
 
 
 def _tabulate_stages(effects: Sequence[Effect]) -> str:
-    """Return the table of stages: what functions get and return, and which effects act there."""
+    """Return the Markdown table of stages: what their functions get and return, and which effects act there."""
     rows = []
     for stage in Stage:
-        description = stage.value
         names = ", ".join(effect.name for effect in effects if stage in effect.stages)
-        arguments = ", ".join(f"`{argument}`" for argument in description.arguments.split(", "))
-        rows.append(f"| {stage.title} | {arguments} | {description.returns} | {names or '–'} |")
+        arguments = ", ".join(f"`{argument}`" for argument in stage.value.arguments.split(", "))
+        rows.append(f"| {stage.title} | {arguments} | {stage.value.returns} | {names or '–'} |")
     head = "| stage, in the order of the chain | a function gets | and returns | effects |"
     return "\n".join([head, "|---|---|---|---|", *rows, ""])
 
 
 def render_effects(effects: Iterable[Effect]) -> str:
-    """Return the page in Markdown."""
+    """Return the page of effects in Markdown, ordered by their numbers."""
     ordered = sorted(effects, key=lambda effect: effect.number)
     content = {
         "stages": _tabulate_stages(ordered),
@@ -217,7 +221,7 @@ def render_effects(effects: Iterable[Effect]) -> str:
 
 
 def write_effects_page(path: Path) -> int:
-    """Write the page of the current vocabulary and return the number of effects."""
+    """Write the page of the vocabulary of this run as Markdown, and return the number of effects."""
     effects = vocabulary()
     # The page is part of the repository, not a result: it gets no sidecar with the run that wrote it.
     path.write_text(render_effects(effects.values()), encoding="utf-8")

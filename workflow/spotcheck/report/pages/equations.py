@@ -14,53 +14,55 @@ from spotcheck.io.provenance import PACKAGE
 from spotcheck.io.schema import read_yaml
 from spotcheck.report.pages import write_page
 
+# Numbers of the equations of the paper.
 EQUATIONS = range(1, 41)
+# A citation with one or more numbers or ranges: "Eqs. 9–14, 16 and 24".
 CITATION = re.compile(r"Eqs?\.\s*(\d+(?:\s*(?:[–-]|,\s*(?:and)?|and|to)\s*\d+)*)")
 
 
 class Citation(NamedTuple):
     """A function or class that cites an equation."""
 
-    where: str  # dotted name
-    sentence: str  # first paragraph of its docstring
+    where: str  # dotted name of the function or class
+    sentence: str  # first paragraph of its docstring, in one line
 
 
 def find_equations(text: str) -> set[int]:
-    """Return the numbers of the equations that a text cites; "9–14" stands for all of them."""
+    """Return the numbers of the equations that a text cites; a range such as "9–14" includes all its numbers."""
     numbers: set[int] = set()
     for citation in CITATION.findall(text):
-        for part in re.split(r",|and", citation):
-            ends = [int(digits) for digits in re.findall(r"\d+", part)]
+        for number_or_range in re.split(r",|and", citation):
+            ends = [int(digits) for digits in re.findall(r"\d+", number_or_range)]
             numbers.update(range(ends[0], ends[-1] + 1) if ends else ())
     return numbers
 
 
 def collect_citations(root: Path, prefix: str = "", only_functions: str = "") -> dict[int, list[Citation]]:
-    """Return who cites each equation in a docstring.
+    """Return the functions and classes whose docstrings cite an equation, by its number.
 
     Parameters
     ----------
     root : Path
         Folder of Python files, which are read recursively.
     prefix : str
-        Dotted name of the folder.
+        Dotted name of the folder; "" for none.
     only_functions : str
-        Only functions and classes whose name starts with this are read.
+        Prefix of the names of the functions and classes that are read; "" for all.
     """
     citations: dict[int, list[Citation]] = {}
     for path in sorted(root.rglob("*.py")):
         module = ".".join(filter(None, (prefix, *path.relative_to(root).with_suffix("").parts)))
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name.startswith(only_functions):
-                text = ast.get_docstring(node) or ""
-                sentence = " ".join(text.split("\n\n")[0].split())
-                for number in find_equations(text):
+                docstring = ast.get_docstring(node) or ""
+                sentence = " ".join(docstring.split("\n\n")[0].split())
+                for number in find_equations(docstring):
                     citations.setdefault(number, []).append(Citation(f"{module}.{node.name}", sentence))
     return citations
 
 
 def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
-    """Write equations.html and symbols.html.
+    """Write equations.html, with the functions and tests of each equation, and symbols.html.
 
     Parameters
     ----------
@@ -74,19 +76,18 @@ def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
     Raises
     ------
     InputError
-        If an equation has no function or no test.
+        If no function or no test cites an equation.
     """
     functions = collect_citations(PACKAGE, PACKAGE.name)
-    checks = collect_citations(tests, tests.name, "test_")
-    for kind, citations in (("function", functions), ("test", checks)):
+    test_functions = collect_citations(tests, tests.name, "test_")
+    for kind, citations in (("function", functions), ("test", test_functions)):
         missing = [number for number in EQUATIONS if number not in citations]
         if missing:
             raise InputError(
                 f"docstrings: no {kind} cites Eq. {', '.join(map(str, missing))}; every equation needs a {kind} whose"
                 " docstring cites it"
             )
-    rows = [(number, functions[number], checks[number]) for number in EQUATIONS]
+    rows = [(number, functions[number], test_functions[number]) for number in EQUATIONS]
     write_page(folder / "equations.html", "equations.html", title="Equation → function → test", rows=rows)
-    symbol_rows = read_yaml(symbols)
     title = "Symbol → name in code → unit → equation"
-    write_page(folder / "symbols.html", "symbols.html", title=title, rows=symbol_rows)
+    write_page(folder / "symbols.html", "symbols.html", title=title, rows=read_yaml(symbols))

@@ -11,7 +11,7 @@ from plotly.offline import get_plotlyjs
 
 from spotcheck.report.figures import style
 
-# Stops of a colour scale; Plotly interpolates linearly between them.
+# Number of colours that define a colour scale; Plotly interpolates linearly between them.
 STOPS = 17
 
 
@@ -21,14 +21,17 @@ def plotly_content() -> dict[str, Any]:
 
 
 def colour_scales() -> dict[str, list[tuple[float, str]]]:
-    """Return the colour scales of readings and residuals in the form of Plotly: (position in 0…1, hex colour)."""
+    """Return the Plotly colour scales "reading" and "residual": lists of (position from 0 to 1, hex colour)."""
     maps = {"reading": style.IMAGE_MAP, "residual": style.DIVERGING_MAP}
-    positions = [float(position) for position in np.linspace(0, 1, STOPS)]
-    return {name: [(p, to_hex(matplotlib.colormaps[colours](p))) for p in positions] for name, colours in maps.items()}
+    stops = np.linspace(0, 1, STOPS).tolist()
+    return {name: [(stop, to_hex(matplotlib.colormaps[cmap](stop))) for stop in stops] for name, cmap in maps.items()}
 
 
 def figure_json(data: Sequence[Mapping[str, Any]], layout: Mapping[str, Any]) -> str:
-    """Return a Plotly figure as `embed_json` does; `var(--measured)` and the like are colours of page.css."""
+    """Return a Plotly figure as JSON that can be embedded in HTML.
+
+    Colours such as `var(--measured)` are those of page.css; plots.js replaces them before Plotly draws the figure.
+    """
     return embed_json({"data": data, "layout": layout})
 
 

@@ -1,5 +1,6 @@
 """Provenance of the results: look up a number by name and report its file, variable, rule and inputs.
 
+A rule is a step of the workflow (Snakefile), which calls a subcommand of `spotcheck` to write result files.
 Input: a results folder and a name such as `p1` or `fits.sigma_mean[frame=a000_r0_t100us]`.
 Output: a `Number`, or the texts that `spotcheck explain` and the report show.
 """

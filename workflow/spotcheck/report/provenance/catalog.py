@@ -1,4 +1,9 @@
-"""Catalogue of a results folder: every number that can be looked up, by each of its names."""
+"""Catalogue of a results folder: every number that can be looked up, by each of its names.
+
+An entry is a number, or a table of numbers over dimensions such as angle and exposure. Its full name is the file
+without suffix and the variable, joined by dots. A question is a name with labels of dimensions in brackets; a label is
+the value of a coordinate or an index. A rule is a step of the workflow that writes result files.
+"""
 
 import difflib
 import re
@@ -15,17 +20,18 @@ from spotcheck.report.provenance import netcdf, text_files
 from spotcheck.report.provenance.records import CatalogEntry, Source, StoredNumber
 from spotcheck.report.provenance.rules import read_source
 
-# A name with labels of its dimensions: "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]".
+# A question: "fits.sigma_mean[angle=90, exposure=0.0009, repeat=3]".
 QUESTION = re.compile(r"\s*([^\[\]]+?)\s*(?:\[([^\[\]]*)\])?\s*")
-# Comma between two labels. A label may contain one itself: "frames/stack.tif, page 2".
+# Comma between two labels. A label may itself contain a comma: "frames/stack.tif, page 2".
 LABEL_SEPARATOR = re.compile(r",(?=[^,=]+=)")
-# Names that an error message lists.
+# Most names that an error message lists.
 MAX_NAMES = 6
-# Similarity above which a name is proposed for a misspelt one [ratio of difflib].
+# Similarity above which a name is proposed for a misspelt one [ratio of difflib, 0 to 1].
 MIN_SIMILARITY = 0.6
-# Larger variables are images [byte]: a variable of 10,000 frames is smaller, and one image is not.
+# Larger variables are images and are not read [byte]: one number for each of 10,000 frames is smaller.
 MAX_BYTES = 2**20
 INSTRUMENT_FILE = "instrument.yaml"
+# Readers of the text files with numbers, by file name.
 TEXT_READERS = {
     "verdict.json": text_files.read_verdict,
     "paper_numbers.csv": text_files.read_paper_numbers,
@@ -38,8 +44,8 @@ class Catalog:
     """Numbers and files of a results folder; files are named by their path without suffix."""
 
     entries: dict[str, CatalogEntry] = field(default_factory=dict)  # entries by full name
-    entries_by_name: dict[str, list[CatalogEntry]] = field(default_factory=dict)  # entries by every name
-    tables: dict[str, xr.Dataset] = field(default_factory=dict)  # netCDF files without images, by file
+    entries_by_name: dict[str, list[CatalogEntry]] = field(default_factory=dict)  # entries by each of their names
+    tables: dict[str, xr.Dataset] = field(default_factory=dict)  # contents of netCDF files without images, by file
     stored: dict[str, StoredNumber] = field(default_factory=dict)  # numbers of text files, by full name
     sources: dict[str, Source] = field(default_factory=dict)  # provenance, by file
 
@@ -52,26 +58,29 @@ class Catalog:
     def find_entry(self, name: str, dims: Collection[str]) -> CatalogEntry:
         """Return the entry that a name means.
 
+        If several entries have the name, those that are not secondary take precedence, and among these the entries
+        that need no further label.
+
         Parameters
         ----------
         name : str
             Full or short name.
         dims : collection of str
-            Dimensions for which the question gives a label; "frame" stands for all dimensions of the grid.
+            Dimensions for which the question gives a label; "frame" stands for all dimensions of the frames' grid.
 
         Raises
         ------
         InputError
-            If no entry, or more than one, has the name, or if the entry lacks a dimension.
+            If no entry, or more than one, has the name, or if the entry lacks one of the dimensions.
         """
         if name in self.entries:
             return self.entries[name]
         candidates = self.entries_by_name.get(name, [])
         candidates = [entry for entry in candidates if not entry.is_secondary] or candidates
-        labelled = set(dims) - {"frame"}
-        matches = [entry for entry in candidates if labelled <= set(entry.dims)]
-        # Entries that need no further label come first.
-        complete = [entry for entry in matches if "frame" in dims or set(entry.required_dims) <= labelled]
+        labelled_dims = set(dims) - {"frame"}
+        matches = [entry for entry in candidates if labelled_dims <= set(entry.dims)]
+        # Entries that need no further label.
+        complete = [entry for entry in matches if "frame" in dims or set(entry.required_dims) <= labelled_dims]
         matches = complete or matches
         if len(matches) == 1:
             return matches[0]
@@ -79,19 +88,19 @@ class Catalog:
             names = _list_names([entry.key for entry in matches])
             raise InputError(f"{name}: is the name of several numbers; write one of {names}")
         if candidates:
-            known = ", ".join(candidates[0].dims)
-            having = f"its dimensions are {known}" if known else "it is one number"
-            raise InputError(f"{name}: has no {' and '.join(sorted(labelled))}; {having}")
+            entry_dims = ", ".join(candidates[0].dims)
+            shape = f"its dimensions are {entry_dims}" if entry_dims else "it is one number"
+            raise InputError(f"{name}: has no {' and '.join(sorted(labelled_dims))}; {shape}")
         similar = difflib.get_close_matches(name, self.entries_by_name, MAX_NAMES, MIN_SIMILARITY)
         hint = f"; nearest are {_list_names(similar)}" if similar else ""
         raise InputError(f"{name}: no number of these results has this name{hint}; `spotcheck explain` lists all")
 
     def find_short_name(self, entry: CatalogEntry) -> str:
-        """Return the shortest name that means only this entry."""
+        """Return the shortest name that `find_entry` resolves to this entry without labels, or its full name."""
         return next(name for name in (*entry.names(), entry.key) if self._is_name_of(name, entry))
 
     def _is_name_of(self, name: str, entry: CatalogEntry) -> bool:
-        """Return whether a name means an entry and no other."""
+        """Return whether `find_entry` resolves a name to an entry."""
         try:
             return self.find_entry(name, ()) is entry
         except InputError:
@@ -99,13 +108,21 @@ class Catalog:
 
 
 def _list_names(names: list[str]) -> str:
-    """Return names as text; only the first ones if there are many."""
+    """Return names as text, the first `MAX_NAMES` of them and the number of others."""
     more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
     return ", ".join(names[:MAX_NAMES]) + more
 
 
 def parse_question(text: str) -> tuple[str, dict[str, str | int]]:
-    """Return the name in a question, and its labels by dimension. Raises `InputError` if it is malformed."""
+    """Return the name in a question, and its labels by dimension; {} without labels.
+
+    Labels are text here; the int of the type is an index that `lookup` puts in place of a frame's name.
+
+    Raises
+    ------
+    InputError
+        If the question is malformed.
+    """
     match = QUESTION.fullmatch(text)
     pairs = [item.split("=", 1) for item in LABEL_SEPARATOR.split(match[2] or "") if item.strip()] if match else []
     if match is None or any(len(pair) != 2 for pair in pairs):
@@ -114,7 +131,10 @@ def parse_question(text: str) -> tuple[str, dict[str, str | int]]:
 
 
 def add_labels(name: str, entry: CatalogEntry, labels: Mapping[str, object]) -> str:
-    """Return a name with labels of the entry's dimensions: "fits.sigma_mean[angle=90,repeat=3]"."""
+    """Return a name of an entry with labels in the order of its dimensions: "fits.sigma_mean[angle=90,repeat=3]".
+
+    Labels of other dimensions are ignored.
+    """
     selection = ",".join(f"{dim}={labels[dim]}" for dim in entry.dims if dim in labels)
     return f"{name}[{selection}]" if selection else name
 
@@ -127,27 +147,31 @@ def load_catalog(results: Path) -> Catalog:
     if not results.is_dir():
         raise InputError(f"{results}: no such folder; name the results of a dataset, such as results/virtual-rig")
     files = [*sorted(results.glob("*.nc")), *sorted(results.glob("*/*.nc")), *(results / name for name in TEXT_READERS)]
+    # The folder of the dataset that the results are of; "" if it is not recorded.
     if dataset := store.read_owner(results):
         files.append(Path(dataset, INSTRUMENT_FILE))
-    state = tuple((str(path), path.stat().st_mtime_ns) for path in files if path.is_file())
-    return _load_catalog(results, state)
+    dated_files = tuple((str(path), path.stat().st_mtime_ns) for path in files if path.is_file())
+    return _load_catalog(results, dated_files)
 
 
 @lru_cache(maxsize=4)
-def _load_catalog(results: Path, state: tuple[tuple[str, int], ...]) -> Catalog:
-    """Read the files named in `state`, pairs of path and time of modification [ns]."""
+def _load_catalog(results: Path, dated_files: tuple[tuple[str, int], ...]) -> Catalog:
+    """Return the catalogue of files, given as pairs of path and time of modification [ns].
+
+    The times make the cache forget changed files.
+    """
     catalog = Catalog()
-    for path in (Path(name) for name, _ in state):
+    for path in (Path(name) for name, _ in dated_files):
         is_instrument = path.name == INSTRUMENT_FILE
         file = str(path) if is_instrument else path.relative_to(results).as_posix()
         name = path.stem if is_instrument else file.removesuffix(path.suffix)
         attributes: Mapping = {}
         if path.suffix == ".nc":
             with store.read(path) as ds:
-                small = [key for key, variable in ds.variables.items() if variable.nbytes <= MAX_BYTES]
-                catalog.tables[name] = ds[small].load()
+                without_images = [key for key, variable in ds.variables.items() if variable.nbytes <= MAX_BYTES]
+                catalog.tables[name] = ds[without_images].load()
             attributes = catalog.tables[name].attrs
-        # A file that no rule writes was left behind by another version.
+        # A file that no rule writes is from another version of the workflow and is ignored.
         if source := Source(file, "", "") if is_instrument else read_source(results, file, attributes):
             catalog.sources[name] = source
             _add_numbers(catalog, path, name)
@@ -157,7 +181,7 @@ def _load_catalog(results: Path, state: tuple[tuple[str, int], ...]) -> Catalog:
 
 
 def _add_numbers(catalog: Catalog, path: Path, name: str) -> None:
-    """Add the numbers of a file to the catalogue."""
+    """Add the numbers of a file to the catalogue; `name` is its path without suffix."""
     if path.name in TEXT_READERS:
         for entry, number in _read_text_file(path):
             catalog.stored[entry.key] = number
@@ -168,9 +192,9 @@ def _add_numbers(catalog: Catalog, path: Path, name: str) -> None:
 
 
 def _read_text_file(path: Path) -> list[tuple[CatalogEntry, StoredNumber]]:
-    """Return entries and numbers of a text file; [] if it cannot be read."""
+    """Return entries and numbers of a text file; [] if its content is invalid."""
     try:
         return list(TEXT_READERS[path.name](path))
     except InputError:
-        # The user may have broken the instrument file since; the results remain valid.
+        # The user may have made the instrument file invalid since the results were written; these remain valid.
         return []

@@ -1,4 +1,7 @@
-"""Explanations of a number and its provenance: as text, and as JSON."""
+"""Explanations of a number and its provenance: as text, and as JSON.
+
+A rule is a step of the workflow, which calls a subcommand of `spotcheck` to write result files.
+"""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -12,25 +15,25 @@ from spotcheck.report.provenance.inputs import InputFile, trace_inputs
 from spotcheck.report.provenance.lookup import find_related, spaced_variable
 from spotcheck.report.provenance.records import Number, Source
 
-# Hex digits of a digest in a text.
+# Hex digits of a SHA-256 in a text.
 DIGEST_DIGITS = 8
-# Units that `quantity_text` does not know.
+# Units as a person writes them, which `quantity_text` does not know.
 UNITS = {"pixel2": "px²", "DN2": "DN²"}
 
 
 def explanation_text(number: Number, results: Path, question: str, purpose: str) -> str:
-    """Return value, meaning, file, rule and inputs of a number as lines of text.
+    """Return value, meaning, file, rule and inputs of a number, and related numbers, as lines of text.
 
     Parameters
     ----------
     number : Number
         The number.
     results : Path
-        Results folder.
+        Results folder that holds the number.
     question : str
-        Name by which the user asked for the number.
+        Name by which the user asked for the number, with labels.
     purpose : str
-        Purpose of the subcommand that wrote the file.
+        Purpose of the subcommand that wrote the file, in words.
     """
     source, frame = number.source, find_frame(results, number)
     rule = f"rule {source.rule} (spotcheck {source.command}: {purpose})"
@@ -38,13 +41,14 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
         "how": number.method,
         "key": number.key,
         "in": f"{results / source.file}: {spaced_variable(number.variable)}",
+        # Name and SHA-256 of the only frame that the number is about.
         "frame": f"{frame[0]}  {frame[1][:DIGEST_DIGITS]}" if frame else "",
         "by": rule if source.rule else "the user, who provided the file",
         "made": _writing_text(source) if source.rule else "",
     }
     lines = [f"{question} = {number_text(number)}", f"  {number.description}", ""]
     lines += [f"  {name:<7}{text}" for name, text in rows.items() if text]
-    inputs = [f"    {line}" for item in trace_inputs(results, source) for line in _input_lines(item)]
+    inputs = [f"    {line}" for input_file in trace_inputs(results, source) for line in _list_lines(input_file)]
     lines += ["  from", *inputs] if inputs else []
     related = [f"    {other.key} = {number_text(other)}" for other in find_related(results, question, number)]
     lines += ["  see also", *related] if related else []
@@ -52,7 +56,7 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
 
 
 def number_text(number: Number) -> str:
-    """Return value ± error with unit; a fraction just below 1 is not rounded to 1."""
+    """Return value ± error with unit; a number without error that differs from 1 is not rounded to 1."""
     value, text = number.value, quantity_text(number.value, number.stderr, UNITS.get(number.unit, number.unit))
     return f"{value:.9g}" if text == "1" and value != 1 else text
 
@@ -66,16 +70,16 @@ def _writing_text(source: Source) -> str:
     return f"{time}{f', code {source.code}' if source.code else ''}"
 
 
-def _input_lines(item: InputFile, depth: int = 0) -> Iterator[str]:
-    """Yield one line for an input file and each of its inputs, indented by depth."""
-    parts = [item.name, item.digest[:DIGEST_DIGITS], f"by rule {item.rule}" if item.rule else "", item.remark]
-    yield "  " * depth + "  ".join(filter(None, parts))
-    for inner in item.inputs:
-        yield from _input_lines(inner, depth + 1)
+def _list_lines(file: InputFile, depth: int = 0) -> Iterator[str]:
+    """Yield one line for an input file, and one for each of its inputs and theirs, indented by depth."""
+    fields = [file.name, file.digest[:DIGEST_DIGITS], f"by rule {file.rule}" if file.rule else "", file.remark]
+    yield "  " * depth + "  ".join(filter(None, fields))
+    for input_file in file.inputs:
+        yield from _list_lines(input_file, depth + 1)
 
 
 def explanation_record(number: Number, results: Path) -> dict[str, Any]:
-    """Return a number and its provenance as JSON stores them."""
+    """Return a number and its provenance as the object that `spotcheck explain --json` writes."""
     source = number.source
     return {
         "key": number.key,
@@ -90,11 +94,11 @@ def explanation_record(number: Number, results: Path) -> dict[str, Any]:
         "command": source.command,
         "code": source.code,
         "written": source.written,
-        "inputs": [asdict(item) for item in trace_inputs(results, source)],
+        "inputs": [asdict(input_file) for input_file in trace_inputs(results, source)],
     }
 
 
 def listing_text(numbers: list[str], tables: list[str]) -> str:
-    """Return the names of all numbers and tables as lines of text."""
+    """Return the names of all numbers, and of all tables with their dimensions, as lines of text."""
     lines = ["Numbers:", *(f"  {name}" for name in numbers)]
     return "\n".join([*lines, "", "One for each …:", *(f"  {name}" for name in tables)])

@@ -1,4 +1,8 @@
-"""Frames that numbers of the results belong to."""
+"""Frames that numbers of the results belong to.
+
+The spot frames of a dataset lie on a grid, whose axes are angle, exposure, repeat and declared conditions. A number of
+a table over these dimensions belongs to one frame, or to several if it is not over all of them.
+"""
 
 import difflib
 from pathlib import Path
@@ -12,9 +16,9 @@ from spotcheck.report.provenance import netcdf
 from spotcheck.report.provenance.catalog import load_catalog, parse_question
 from spotcheck.report.provenance.records import Number
 
-# Similarity above which a frame is proposed for a misspelt name [ratio of difflib].
+# Similarity above which a frame is proposed for a misspelt name [ratio of difflib, 0 to 1].
 MIN_SIMILARITY = 0.3
-# Frames that an error message proposes.
+# Most frames that an error message proposes.
 MAX_PROPOSED = 3
 
 
@@ -33,9 +37,9 @@ def load_dataset_of(results: Path, file: str) -> Dataset:
 
 
 def find_frame(results: Path, number: Number) -> tuple[str, str] | None:
-    """Return the name and the SHA-256 of the frame that a number belongs to.
+    """Return the name and the SHA-256 of the only frame that a number belongs to.
 
-    Returns None if the number belongs to several frames, or if the dataset is gone.
+    Returns None if the number belongs to several frames or to none, or if the dataset cannot be read.
     """
     labels, path, tables = parse_question(number.key)[1], Path(number.source.file), load_catalog(results).tables
     frames, table = (tables.get(name.as_posix()) for name in (path.with_name("frames"), path.with_suffix("")))
@@ -49,30 +53,34 @@ def find_frame(results: Path, number: Number) -> tuple[str, str] | None:
         return None
     if any(axis.size > 1 and axis.name not in index for axis in dataset.axes):
         return None
-    at = tuple(index.get(axis.name, 0) for axis in dataset.axes)
-    frame = next((frame for cell, frame in dataset.cells() if cell == at), None)
+    grid_index = tuple(index.get(axis.name, 0) for axis in dataset.axes)
+    frame = next((frame for cell, frame in dataset.cells() if cell == grid_index), None)
     digests = dict(zip(frames["file"].values.tolist(), frames["sha256"].values.tolist(), strict=True))
     return (frame.label, digests[frame.file]) if frame is not None and frame.file in digests else None
 
 
 def find_frame_row(table: xr.Dataset, name: str) -> int | str:
-    """Return the row of a frame in frames.nc; the name itself, which may be a row number, if there is no such file."""
+    """Return the row of a frame in frames.nc (`table`), whose name is its file and, if it has several, the page.
+
+    Returns the name itself, which may be a row number, if no frame has it.
+    """
     pages = zip(table["file"].values.tolist(), table["page"].values.tolist(), strict=True)
     labels = [f"{file}, page {int(page)}" if page else file for file, page in pages]
     return labels.index(name) if name in labels else name
 
 
 def find_frame_index(results: Path, file: str, name: str) -> dict[str, int]:
-    """Return the index of a frame on each axis of the grid.
+    """Return the index of a spot frame on each axis of the grid, by the name of the axis.
 
     Parameters
     ----------
     results : Path
         Results folder.
     file : str
-        Result file, which decides whether measured or simulated frames are meant.
+        Path of the result file in that folder. Frames in its folder are meant if it is a dataset (simulated frames),
+        else the measured ones.
     name : str
-        Frame as messages name it, or the name of its file with or without suffix.
+        Label of the frame as messages give it, or the name of its file with or without suffix.
 
     Raises
     ------

@@ -1,4 +1,8 @@
-"""Inputs of a result file, traced back to the frames."""
+"""Inputs of a result file, traced back to the frames.
+
+Each result file records the names and digests of its inputs when it was written. A rule is a step of the workflow that
+writes result files.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,12 +21,12 @@ from spotcheck.report.provenance.rules import read_source
 class InputFile:
     """An input file with its own inputs."""
 
-    name: str  # path in the results folder, or file name
-    path: str  # path on this computer; "" if the file is gone
-    digest: str  # first 16 hex digits of the SHA-256 that the file had when it was read
+    name: str  # path in the results folder, file name of a file elsewhere, or a number of frames in words
+    path: str  # path on this computer; "" if the file is gone, and for frames
+    digest: str  # first 16 hex digits of the SHA-256 that the file had when it was read; "" for frames
     rule: str  # rule that wrote the file; "" for a file of the user
     remark: str  # whether the file has changed, is gone, or was listed above; "" if none of these
-    inputs: tuple["InputFile", ...] = ()  # its inputs
+    inputs: tuple["InputFile", ...] = ()  # its inputs; empty if they were listed above
 
 
 def trace_inputs(results: Path, source: Source) -> list[InputFile]:
@@ -31,9 +35,12 @@ def trace_inputs(results: Path, source: Source) -> list[InputFile]:
 
 
 def _list_inputs(results: Path, source: Source, listed: set[str]) -> Iterator[InputFile]:
-    """Yield the inputs of a result file; `listed` collects the files whose inputs were listed."""
-    for item in source.inputs:
-        yield _trace_input(results, (results / source.file).parent, item, listed)
+    """Yield the inputs of a result file; `listed` collects the files whose inputs were listed.
+
+    The last input of a frames.nc stands for all frames, whose digests it stores.
+    """
+    for recorded in source.inputs:
+        yield _trace_input(results, (results / source.file).parent, recorded, listed)
     if source.file.endswith("frames.nc"):
         table = load_catalog(results).tables[source.file.removesuffix(".nc")]
         count = table.sizes["frame"]
@@ -41,9 +48,12 @@ def _list_inputs(results: Path, source: Source, listed: set[str]) -> Iterator[In
         yield InputFile(name, "", "", "", f"SHA-256 of each file in {source.file}")
 
 
-def _trace_input(results: Path, folder: Path, item: Input, listed: set[str]) -> InputFile:
-    """Return an input of a result file in `folder`."""
-    path, remark = _find_input(results, folder, item)
+def _trace_input(results: Path, folder: Path, recorded: Input, listed: set[str]) -> InputFile:
+    """Return an input, as a result file in `folder` recorded it, with its own inputs.
+
+    `listed` collects the files whose inputs were listed.
+    """
+    path, remark = _find_input(results, folder, recorded)
     file = path.relative_to(results).as_posix() if path and path.is_relative_to(results) else ""
     source = _find_source(results, file) if file else None
     inputs: tuple[InputFile, ...] = ()
@@ -53,31 +63,37 @@ def _trace_input(results: Path, folder: Path, item: Input, listed: set[str]) -> 
         listed.add(file)
         inputs = tuple(_list_inputs(results, source, listed))
     rule = source.rule if source else ""
-    return InputFile(file or item.name, str(path or ""), item.digest, rule, remark, inputs)
+    return InputFile(file or recorded.name, str(path or ""), recorded.digest, rule, remark, inputs)
 
 
 def _find_source(results: Path, file: str) -> Source | None:
-    """Return the provenance of a result file; manifest and instrument file of simulated frames have that of images."""
+    """Return the provenance of a file in the results folder; None if no rule writes it.
+
+    Manifest and instrument file of simulated frames are written with simulated.nc and have its provenance.
+    """
     sources = load_catalog(results).sources
     name, folder = file.removesuffix(Path(file).suffix), Path(file).parent.name
     return sources.get(name) or read_source(results, file, {}) or sources.get(folder)
 
 
-def _find_input(results: Path, folder: Path, item: Input) -> tuple[Path | None, str]:
-    """Return the path of an input of a file in `folder`, and a remark if it has changed or is gone."""
+def _find_input(results: Path, folder: Path, recorded: Input) -> tuple[Path | None, str]:
+    """Return the path of an input of a file in `folder`, and a remark if it has changed or is gone.
+
+    A file with the recorded name and digest is the input. If there is none, a file with the name has changed.
+    """
     dataset = store.read_owner(results)
-    likely = [place / item.name for place in (folder, results, *([Path(dataset)] if dataset else []))]
-    likely += [path for path in _list_shared_files(dataset) if path.name == item.name]
+    likely_paths = [parent / recorded.name for parent in (folder, results, *([Path(dataset)] if dataset else []))]
+    likely_paths += [path for path in _list_shared_files(dataset) if path.name == recorded.name]
     # Stages that compare measured with simulated frames read files of the same name from a subfolder.
-    for path in (*likely, *sorted(results.glob(f"*/{item.name}"))):
-        if path.is_file() and _digest(path, path.stat().st_mtime_ns).startswith(item.digest):
+    for path in (*likely_paths, *sorted(results.glob(f"*/{recorded.name}"))):
+        if path.is_file() and _digest(path, path.stat().st_mtime_ns).startswith(recorded.digest):
             return path, ""
-    changed = next((path for path in likely if path.is_file()), None)
+    changed = next((path for path in likely_paths if path.is_file()), None)
     return changed, "has changed since" if changed else "is gone"
 
 
 def _list_shared_files(dataset: str | None) -> list[Path]:
-    """Return the files that the instrument file of a dataset refers to."""
+    """Return the files that the instrument file of a dataset refers to; [] if the file cannot be read."""
     if not dataset:
         return []
     try:
@@ -88,5 +104,5 @@ def _list_shared_files(dataset: str | None) -> list[Path]:
 
 @cache
 def _digest(path: Path, time_ns: int) -> str:
-    """Return the SHA-256 of a file; the time of modification makes the cache forget changed files."""
+    """Return the SHA-256 of a file; the time of modification [ns] makes the cache forget changed files."""
     return provenance.file_digest(path)

@@ -1,4 +1,8 @@
-"""Look up a number of the results by its name."""
+"""Look up a number of the results by its name.
+
+A question is the name of a number, or of a table of numbers, with labels of dimensions in brackets. A label is the
+value of a coordinate or an index. Text on hover is shown by the report beside a number.
+"""
 
 import shlex
 from dataclasses import replace
@@ -39,23 +43,30 @@ def find_number(results: str | Path, question: str) -> Number:
     name, labels = parse_question(question)
     entry = catalog.find_entry(name, labels)
     stored = catalog.stored.get(entry.key) or _read_table(results, catalog, entry, labels, question)
-    is_finite = stored.value is not None and np.isfinite(stored.value)
-    has_stderr = stored.stderr is not None and np.isfinite(stored.stderr)
-    known = replace(stored, value=stored.value if is_finite else None, stderr=stored.stderr if has_stderr else None)
+    finite = replace(stored, value=_finite_or_none(stored.value), stderr=_finite_or_none(stored.stderr))
     return Number(
-        **vars(known),
+        **vars(finite),
         key=add_labels(entry.key, entry, stored.labels),
         short_key=add_labels(catalog.find_short_name(entry), entry, stored.labels),
         source=catalog.sources[entry.path[0]],
     )
 
 
+def _finite_or_none(value: float | None) -> float | None:
+    """Return a value; None if it is None, NaN or infinite."""
+    return value if value is not None and np.isfinite(value) else None
+
+
 def _read_table(
     results: Path, catalog: Catalog, entry: CatalogEntry, labels: dict[str, str | int], question: str
 ) -> StoredNumber:
-    """Return the number of a netCDF file at the given labels."""
+    """Return the number of a netCDF file at the labels by dimension; `frame` stands for all dimensions of the grid.
+
+    Raises `InputError`, which starts with the `question`, if a required label is missing.
+    """
     file = entry.path[0]
     table = catalog.tables[file]
+    # Only frames.nc has the dimension `frame`; other files have the dimensions of the grid.
     if "frame" in labels and "frame" in entry.dims:
         labels["frame"] = find_frame_row(table, str(labels["frame"]))
     elif "frame" in labels:
@@ -80,7 +91,10 @@ def list_tables(results: str | Path) -> list[str]:
 
 
 def find_related(results: Path, question: str, number: Number) -> list[Number]:
-    """Return other numbers whose full name contains the short name asked for, such as p1 in the verdict."""
+    """Return other numbers whose full name contains the short name in a question, such as p1 in the verdict.
+
+    Returns [] for a question with labels or a name of several words.
+    """
     catalog, (name, labels) = load_catalog(results), parse_question(question)
     if labels or "." in name:
         return []
@@ -93,7 +107,7 @@ def find_related(results: Path, question: str, number: Number) -> list[Number]:
 
 def hover_text(number: Number) -> str:
     """Return one line with the file, variable, rule and inputs of a number."""
-    return _hover_text(number.source, number.variable, number.short_key)
+    return _describe_source(number.source, number.variable, number.short_key)
 
 
 def frame_hover_text(results: str | Path, table: str, frame: str) -> str:
@@ -106,7 +120,7 @@ def frame_hover_text(results: str | Path, table: str, frame: str) -> str:
     table : str
         Name of a table, such as `fits.sigma_mean`.
     frame : str
-        Name of the frame.
+        Label of the frame; it is not checked.
 
     Raises
     ------
@@ -115,18 +129,18 @@ def frame_hover_text(results: str | Path, table: str, frame: str) -> str:
     """
     catalog = load_catalog(Path(results))
     entry = catalog.find_entry(table, ("frame",))
-    return _hover_text(catalog.sources[entry.path[0]], entry.path[-1], f"{table}[frame={frame}]")
+    return _describe_source(catalog.sources[entry.path[0]], entry.path[-1], f"{table}[frame={frame}]")
 
 
-def _hover_text(source: Source, variable: str, name: str) -> str:
-    """Return file, variable, rule and inputs, and the command that explains the number `name`."""
+def _describe_source(source: Source, variable: str, name: str) -> str:
+    """Return file, variable, rule and inputs in one line, and the command that explains the number `name`."""
     inputs = ", ".join(dict.fromkeys(item.name for item in source.inputs))
     made_by = f"by rule {source.rule}{f' from {inputs}' if inputs else ''}" if source.rule else "as given"
-    # The folder of a user's file may reveal whose computer it is on.
+    # The report may be passed on; the folder of a user's file could reveal whose computer it is on.
     file = source.file if source.rule else Path(source.file).name
     return f"{file}: {spaced_variable(variable)}, {made_by}; explain: spotcheck explain {shlex.quote(name)}"
 
 
 def spaced_variable(variable: str) -> str:
-    """Return a variable with a space before its selected labels."""
+    """Return a variable with a space before its labels: "sigma_mean [angle=90]"."""
     return variable.replace("[", " [", 1)

@@ -1,4 +1,8 @@
-"""Numbers in netCDF result files: catalogue entries and values."""
+"""Numbers in netCDF result files: catalogue entries and values.
+
+A label is the value of a coordinate, or an index of a dimension without one. A long table has one row for each named
+quantity, with its value, standard error and unit.
+"""
 
 from collections.abc import Iterator, Mapping
 
@@ -9,19 +13,22 @@ from spotcheck.characterization.emva_quantities import QUANTITIES
 from spotcheck.errors import InputError
 from spotcheck.report.provenance.records import CatalogEntry, StoredNumber
 
-# Attributes that name the label of a dimension that the workflow itself uses.
+# Attribute of a file that holds the label of a dimension that the workflow itself uses, by dimension.
 DEFAULT_ATTRIBUTES = {"estimator": "used", "fit": "preferred"}
-# Crops that `fits.preferred` uses.
+# Label of the dimension `centring` for the crops that the workflow itself uses.
 DEFAULT_CENTRING = "light"
-# Relative tolerance of a typed coordinate: values of one condition differ by less.
+# Relative tolerance of a coordinate in a question: values of one condition differ by less.
 COORDINATE_TOLERANCE = 1e-3
-# Labels that an error message lists.
+# Most labels that an error message lists.
 MAX_LABELS = 12
 
 
 def list_entries(name: str, ds: xr.Dataset) -> Iterator[CatalogEntry]:
-    """Yield an entry for each numeric variable of a file, except standard errors; `name` is without suffix."""
-    has_default = default_labels(ds)
+    """Yield an entry for each numeric variable of a file, except standard errors; `name` is that of the file.
+
+    A long table has an entry for each of its quantities. A label is required for each dimension without a default.
+    """
+    defaults = default_labels(ds)
     for variable in map(str, ds.data_vars):
         values = ds[variable]
         if values.dtype.kind not in "fiu" or is_stderr(variable):
@@ -35,14 +42,14 @@ def list_entries(name: str, ds: xr.Dataset) -> Iterator[CatalogEntry]:
             (name, variable),
             _short_names(ds, variable, str(values.attrs["units"])),
             dims=dims,
-            required_dims=tuple(dim for dim in dims if dim not in has_default and values.sizes[dim] > 1),
-            # A name without folder means the measured frames, not the simulated ones in a subfolder.
+            required_dims=tuple(dim for dim in dims if dim not in defaults and values.sizes[dim] > 1),
+            # A name without folder means the results of measured frames, not those of simulated ones in a subfolder.
             is_secondary="/" in name,
         )
 
 
 def default_labels(ds: xr.Dataset) -> dict[str, str]:
-    """Return the label that applies to a dimension if a question does not give one."""
+    """Return the label of each dimension that applies if a question does not give one."""
     defaults = {dim: str(ds.attrs[name]) for dim, name in DEFAULT_ATTRIBUTES.items() if name in ds.attrs}
     return defaults | {"centring": DEFAULT_CENTRING}
 
@@ -53,14 +60,17 @@ def is_stderr(variable: str) -> bool:
 
 
 def _short_names(ds: xr.Dataset, name: str, unit: str) -> frozenset[str]:
-    """Return the name without its unit, and the name without `_mean` if the averaged variable is in the file."""
+    """Return other names of a variable: without its unit, and without `_mean` if the averaged variable is in the file.
+
+    The unit e-/s appears in a name as `_e_per_s`.
+    """
     suffix = "_" + unit.lower().replace("/", "_per_").replace("-", "")
-    averaged = name.removesuffix("_mean")
-    return frozenset({name.removesuffix(suffix), averaged if averaged in ds else name} - {name})
+    averaged_variable = name.removesuffix("_mean")
+    return frozenset({name.removesuffix(suffix), averaged_variable if averaged_variable in ds else name} - {name})
 
 
 def _is_long_table(ds: xr.Dataset, variable: str) -> bool:
-    """Return whether a variable holds one number per named quantity, each in its own unit."""
+    """Return whether a variable is the column of values of a long table."""
     return variable == "value" and "quantity" in ds[variable].dims and "unit" in ds
 
 
@@ -70,11 +80,11 @@ def read_number(ds: xr.Dataset, entry: CatalogEntry, labels: Mapping[str, str | 
     Parameters
     ----------
     ds : Dataset
-        The file.
+        Content of the file.
     entry : CatalogEntry
-        Entry of a variable or of a quantity.
+        Entry of a variable, or of a quantity of a long table.
     labels : mapping of str to str or int
-        Label, or index, of each selected dimension.
+        Label (str) or index (int) by dimension; other dimensions have their default label or the index 0.
 
     Raises
     ------
@@ -89,57 +99,62 @@ def read_number(ds: xr.Dataset, entry: CatalogEntry, labels: Mapping[str, str | 
     for dim in map(str, values.dims):
         label = labels.get(dim, defaults.get(dim, 0))
         index[dim] = label if isinstance(label, int) else find_label(ds, dim, label, f"{entry.key}[{dim}={label}]")
-    at = tuple(index.values())
-    value, stderr = float(values[at]), _find_stderr(ds, variable)
-    chosen = {dim: dim_labels(ds, dim)[k] for dim, k in index.items()}
-    listed = {dim: label for dim, label in chosen.items() if ds.sizes[dim] > 1}
+    position = tuple(index.values())
+    value, stderr_variable = float(values[position]), _find_stderr(ds, variable)
+    all_labels = {dim: dim_labels(ds, dim)[k] for dim, k in index.items()}
+    listed_labels = {dim: label for dim, label in all_labels.items() if ds.sizes[dim] > 1}
+    # Attributes of the variable, and of the file for the selected labels, say how the number was obtained.
     remarks = [str(values.attrs["source"])] if "source" in values.attrs else []
     remarks += [f"infinite: {values.attrs['infinite']}"] if np.isinf(value) and "infinite" in values.attrs else []
-    remarks += [str(ds.attrs[f"{dim}_{label}"]) for dim, label in chosen.items() if f"{dim}_{label}" in ds.attrs]
-    selection = ", ".join(f"{dim}={label}" for dim, label in listed.items())
+    remarks += [str(ds.attrs[f"{dim}_{label}"]) for dim, label in all_labels.items() if f"{dim}_{label}" in ds.attrs]
+    selection = ", ".join(f"{dim}={label}" for dim, label in listed_labels.items())
     return StoredNumber(
         value=value,
-        stderr=None if stderr is None else float(ds.variables[stderr][at]),
+        stderr=None if stderr_variable is None else float(ds.variables[stderr_variable][position]),
         unit=str(values.attrs["units"]),
         description=str(values.attrs["long_name"]),
         variable=f"{variable}[{selection}]" if selection else variable,
         method="; ".join(remarks),
-        labels={dim: label for dim, label in listed.items() if label != defaults.get(dim)},
+        labels={dim: label for dim, label in listed_labels.items() if label != defaults.get(dim)},
     )
 
 
 def _read_quantity(ds: xr.Dataset, name: str) -> StoredNumber:
-    """Return a quantity of EMVA 1288 from a table with one row per quantity."""
+    """Return a quantity of EMVA 1288 from the long table of transfer.nc."""
     row = ds.isel(quantity=ds["quantity"].values.tolist().index(name))
+    _, _, meaning = QUANTITIES[name]
     return StoredNumber(
         value=float(row["value"]),
         stderr=float(row["stderr"]),
         unit=str(row["unit"].item()),
-        description=f"{QUANTITIES[name][2]} ({row['symbol'].item()} of EMVA 1288)",
+        description=f"{meaning} ({row['symbol'].item()} of EMVA 1288)",
         variable=f"value[quantity={name}]",
         method=str(row["why"].item()),
     )
 
 
 def _find_stderr(ds: xr.Dataset, variable: str) -> str | None:
-    """Return the variable with the standard error of another one, which has the same name and dimensions."""
+    """Return the variable with the standard error of another one; None if there is none.
+
+    Without its marker it has the name of the variable, or this name without `_mean`, and the same dimensions.
+    """
+    candidates = [name for name in map(str, ds.data_vars) if is_stderr(name) and ds[name].dims == ds[variable].dims]
     for name in (variable, variable.removesuffix("_mean")):
-        for other in map(str, ds.data_vars):
-            bare_name = other.replace("_stderr", "").replace("_error", "")
-            if other != variable and is_stderr(other) and bare_name == name and ds[other].dims == ds[variable].dims:
-                return other
+        for candidate in candidates:
+            if candidate != variable and candidate.replace("_stderr", "").replace("_error", "") == name:
+                return candidate
     return None
 
 
 def dim_labels(ds: xr.Dataset, dim: str) -> list[str]:
-    """Return the labels of a dimension: its coordinate, or indices if there is none."""
+    """Return the labels of a dimension as text: the values of its coordinate, or indices if it has none."""
     if dim not in ds.coords:
         return [str(k) for k in range(ds.sizes[dim])]
     return [f"{value:g}" if isinstance(value, float) else str(value) for value in ds.variables[dim].values.tolist()]
 
 
 def find_label(ds: xr.Dataset, dim: str, label: str, question: str) -> int:
-    """Return the index of a label on a dimension.
+    """Return the index of a label on a dimension; a number may differ from the coordinate by `COORDINATE_TOLERANCE`.
 
     Raises `InputError`, which starts with the `question`, if there is no such label.
     """
@@ -152,6 +167,7 @@ def find_label(ds: xr.Dataset, dim: str, label: str, question: str) -> int:
         if np.isclose(values[nearest], number, rtol=COORDINATE_TOLERANCE, atol=0):
             return nearest
     except (ValueError, KeyError):
+        # The label or the coordinate is no number, or there is no coordinate.
         pass
     known = ", ".join(labels[:MAX_LABELS]) + (", …" if len(labels) > MAX_LABELS else "")
     raise InputError(f"{question}: no such {dim}; there are {known}")

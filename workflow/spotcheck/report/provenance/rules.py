@@ -1,4 +1,8 @@
-"""Workflow rules that write the result files, as the help texts of the subcommands declare them."""
+"""Workflow rules that write the result files, as the help texts of the subcommands declare them.
+
+A rule is a step of the workflow (Snakefile), which calls a subcommand of `spotcheck` to write result files. Rules for
+simulated frames, and for the extended model with added effects, are variants that call the same subcommand.
+"""
 
 import ast
 import json
@@ -17,9 +21,9 @@ OUTPUT_HELP = re.compile(r"((?:\w+\.\w+)(?: or \w+\.\w+)*) to write")
 
 @cache
 def list_outputs() -> dict[str, tuple[tuple[str, ...], ...]]:
-    """Return the possible file names of each output option, by subcommand.
+    """Return the possible file names of each output option of a subcommand, by the name of the subcommand.
 
-    The first name of an option belongs to the rule named like the subcommand. Other names belong to variants of it.
+    The first name of an option is written by the rule named like the subcommand, the others by variants of this rule.
     """
     outputs = {}
     for path in sorted((PACKAGE / "cli").glob("*.py")):
@@ -32,6 +36,7 @@ def list_outputs() -> dict[str, tuple[tuple[str, ...], ...]]:
         ]
         matches = filter(None, map(OUTPUT_HELP.match, help_texts))
         if options := tuple(tuple(match[1].split(" or ")) for match in matches):
+            # Modules have underscores where subcommands have hyphens.
             outputs[path.stem.replace("_", "-")] = options
     return outputs
 
@@ -56,8 +61,8 @@ def find_rule(results: Path, file: str) -> Rule | None:
     Returns
     -------
     Rule or None
-        None if no subcommand writes a file of this name. If several do, the one whose other outputs are in the
-        same folder is chosen.
+        None if no subcommand writes a file of this name. If several do, the one with the largest share of its
+        outputs in the same folder is chosen.
     """
     path = results / file
     candidates = [
@@ -69,13 +74,16 @@ def find_rule(results: Path, file: str) -> Rule | None:
         return None
     command = max(candidates)[1]
     default_name = next(names[0] for names in list_outputs()[command] if path.name in names)
-    # Rules for simulated frames, and for the extended model, are variants of the rule for measured frames.
-    variants = [Path(file).parent.name, "" if path.name == default_name else path.stem]
-    return Rule("_".join([command, *filter(None, variants)]), command)
+    # A variant is named after the folder of simulated frames, the file if it is not the default one, or both.
+    suffixes = [Path(file).parent.name, "" if path.name == default_name else path.stem]
+    return Rule("_".join([command, *filter(None, suffixes)]), command)
 
 
 def _count_present(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[float, int]:
-    """Return the fraction of a subcommand's outputs that are in the folder of a file, and the number of outputs."""
+    """Return the share of a subcommand's outputs that are in the folder of a file, and the number of outputs.
+
+    `options` holds the possible file names of each output.
+    """
     is_present = [any(path.with_name(name).exists() for name in names) for names in options]
     return sum(is_present) / len(is_present), len(is_present)
 
@@ -83,7 +91,8 @@ def _count_present(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[fl
 def read_source(results: Path, file: str, attributes: Mapping[str, Any]) -> Source | None:
     """Return the provenance of a result file; None if no rule writes it.
 
-    The file's note in `.runs` and its netCDF `attributes` record the inputs, the code version and the time.
+    The inputs, the code version and the time are recorded in the netCDF `attributes` of the file, or else in its note
+    in the folder `.runs`.
     """
     rule = find_rule(results, file)
     if rule is None:
@@ -95,5 +104,5 @@ def read_source(results: Path, file: str, attributes: Mapping[str, Any]) -> Sour
 
 
 def parse_inputs(text: str) -> tuple[Input, ...]:
-    """Return the inputs in the attribute `inputs` of `store.write`: "crops.nc 10c624ef4d826b7e; …"."""
+    """Return the inputs in the attribute `inputs` of a result file, such as "crops.nc 10c624ef4d826b7e; …"."""
     return tuple(Input(*item.rsplit(" ", 1)) for item in text.split("; ") if item)

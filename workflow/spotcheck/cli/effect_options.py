@@ -1,4 +1,8 @@
-"""Options of subcommands that choose the vocabulary of effects, and its record in files of results."""
+"""Options --effects, --only and --without of subcommands, and the record of their values in files of results.
+
+The vocabulary is the list of physical effects that a verdict can name. A choice is the files that add effects to it,
+and the names of the only effects to know or of those to leave out.
+"""
 
 import argparse
 from collections.abc import Mapping
@@ -10,7 +14,7 @@ from spotcheck.model.effects import Choice
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options to a parser."""
+    """Add the options --effects, --only and --without to a parser."""
     group = parser.add_argument_group("vocabulary of effects (default: the library's)")
     group.add_argument("--effects", nargs="+", default=[], metavar="FILE", help="Python files that each add an effect")
     group.add_argument("--only", nargs="+", default=[], metavar="NAME", help="the only effects to know")
@@ -18,18 +22,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def apply_options(args: argparse.Namespace) -> None:
-    """Set the vocabulary of this process to that of the options."""
+    """Set the vocabulary of this process to that of the parsed options."""
     effects.choose(Choice(tuple(args.effects), tuple(args.only), tuple(args.without)))
 
 
 def read_choice(config: Mapping[str, Any]) -> Choice:
-    """Return the choice of the keys `effects` and `vocabulary` of the workflow's configuration."""
+    """Return the choice of the keys `effects`, `vocabulary.only` and `vocabulary.without` of the workflow's config."""
     names = config.get("vocabulary", {})
     return Choice(tuple(config.get("effects", ())), tuple(names.get("only", ())), tuple(names.get("without", ())))
 
 
 def list_options(choice: Choice) -> list[str]:
-    """Return the words of a command line that stand for a choice; none for the vocabulary of the library."""
+    """Return the words of a command line that give a choice, such as ["--only", "defocus"]; [] for the default."""
     words = []
     for option, values in (("--effects", choice.files), ("--only", choice.only), ("--without", choice.without)):
         words += [option, *values] if values else []
@@ -37,13 +41,19 @@ def list_options(choice: Choice) -> list[str]:
 
 
 def describe_difference() -> dict[str, Any]:
-    """Return the key `vocabulary` of a file of results; {} for the vocabulary of the library."""
+    """Return how the vocabulary of this process differs from the library's, under the key "vocabulary".
+
+    The result is merged into files of results; it is {} for the library's vocabulary.
+    """
     difference = effects.record()
     return {"vocabulary": difference} if difference else {}
 
 
 def check_same(saved: Mapping[str, Any], name: str) -> None:
-    """Raise `InputError` if an earlier stage wrote `saved` to the file `name` with another vocabulary."""
+    """Raise `InputError` if an earlier stage wrote a file of results with another vocabulary than that of this process.
+
+    `saved` is the content of the file, `name` its path for the message.
+    """
     if saved.get("vocabulary", {}) != effects.record():
         raise InputError(
             f"{name}: was found with {_format(saved.get('vocabulary', {}))}, but this is {_format(effects.record())};"
@@ -52,8 +62,8 @@ def check_same(saved: Mapping[str, Any], name: str) -> None:
 
 
 def _format(difference: Mapping[str, Any]) -> str:
-    """Return a vocabulary in words."""
+    """Return a vocabulary in words, from its `difference` to the library's as `effects.record` gives it."""
     added = [f"{effect['name']} of {effect['file']} ({effect['sha256'][:8]})" for effect in difference.get("own", ())]
-    parts = [f"with {', '.join(added)}"] if added else []
-    parts += [f"without {', '.join(difference['left_out'])}"] if difference.get("left_out") else []
-    return " ".join(["the library's vocabulary", *parts])
+    phrases = [f"with {', '.join(added)}"] if added else []
+    phrases += [f"without {', '.join(difference['left_out'])}"] if difference.get("left_out") else []
+    return " ".join(["the library's vocabulary", *phrases])

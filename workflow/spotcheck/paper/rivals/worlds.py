@@ -1,0 +1,191 @@
+"""Forward models ("worlds") that could have made the paper's measured frames.
+
+All worlds draw 32 sites. Each has its own brightness and speckle, which its exposures share. A world states the light of
+a site and what the sensor makes of its electrons. Each has six free parameters.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from spotcheck.model import propagation, spot
+
+# Design of the paper (Section 3.2.1): sites, exposures [s], and the side of a crop [px].
+SITES, EXPOSURES_S, SIDE = 32, (1e-4, 5e-4, 9e-4), 240
+LONGEST_S = EXPOSURES_S[-1]
+# Sensor of Table 3; the read noise is that of the chip's 60 dB.
+GAIN_DN_PER_E, READ_NOISE_E, FULL_SCALE_DN = 0.11, 13.0, 1023
+# M σ_la/s_px, the laser's own width on the sensor [px].
+LASER_PX = 1.188
+# Highest spatial frequency of the field behind the lens, 1/(2 λ f_a (1 + M)) [cycles per px] (Section 3.1.2).
+FIELD_CUTOFF = 0.3205
+# Speckle is computed on a grid this much finer than the pixels, since its intensity has twice the field's bandwidth.
+OVERSAMPLING = 2
+
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A free parameter of a world."""
+
+    name: str
+    unit: str  # "1" if dimensionless
+    low: float  # smallest value that is tried
+    high: float  # largest value
+    is_log: bool = True  # whether values are tried evenly in their logarithm
+
+
+@dataclass(frozen=True)
+class World:
+    """A forward model of the paper's frames."""
+
+    name: str
+    title: str  # for tables and legends
+    parameters: tuple[Parameter, ...]
+    # Light [y, x] in DN at the longest exposure per unit of relative exposure, from radius [px], exposure [s], values
+    # and the site's width factor.
+    light: Callable[[np.ndarray, float, Values, float], np.ndarray]
+    # Electrons after the sensor's limit, from electrons [y, x], values and random generator.
+    limit: Callable[[np.ndarray, Values, np.random.Generator], np.ndarray]
+
+    def values(self, unit_point: np.ndarray) -> dict[str, float]:
+        """Return the values of the parameters from a point of the unit cube."""
+        values = {}
+        for parameter, fraction in zip(self.parameters, unit_point, strict=True):
+            if parameter.is_log:
+                values[parameter.name] = float(parameter.low * (parameter.high / parameter.low) ** fraction)
+            else:
+                values[parameter.name] = float(parameter.low + (parameter.high - parameter.low) * fraction)
+        return values
+
+    def draw(
+        self, values: Values, rng: np.random.Generator, exposures_s: tuple[float, ...] = EXPOSURES_S
+    ) -> np.ndarray:
+        """Return the readings [site, exposure, y, x] in DN of one realisation of the experiment."""
+        readings = np.empty((SITES, len(exposures_s), SIDE, SIDE))
+        for site in range(SITES):
+            brightness = np.exp(values["brightness_sd"] * rng.standard_normal())
+            width_factor = np.exp(values.get("width_sd", 0.0) * rng.standard_normal())
+            x0, y0 = SIDE / 2 + rng.uniform(-0.5, 0.5, 2)
+            pixels = np.arange(SIDE)
+            radius = np.hypot(pixels[None, :] - x0, pixels[:, None] - y0)
+            modulation = 1 + values["contrast"] * (draw_speckle(rng) - 1)
+            for k, exposure_s in enumerate(exposures_s):
+                light_dn = brightness * self.light(radius, exposure_s, values, width_factor) * modulation
+                electrons = self.limit(rng.poisson(light_dn / GAIN_DN_PER_E), values, rng)
+                analogue = GAIN_DN_PER_E * (electrons + READ_NOISE_E * rng.standard_normal(radius.shape))
+                readings[site, k] = np.clip(np.rint(analogue), 0, FULL_SCALE_DN)
+        return readings
+
+
+def draw_speckle(rng: np.random.Generator) -> np.ndarray:
+    """Return one fully developed speckle pattern [y, x] of mean 1, averaged over each pixel."""
+    fine = SIDE * OVERSAMPLING
+    frequency = np.fft.fftfreq(fine) * OVERSAMPLING
+    is_passed = np.hypot(frequency[None, :], frequency[:, None]) < FIELD_CUTOFF
+    field = np.zeros((fine, fine), complex)
+    field[is_passed] = rng.standard_normal(is_passed.sum()) + 1j * rng.standard_normal(is_passed.sum())
+    intensity = np.abs(np.fft.ifft2(field)) ** 2
+    blocks = intensity.reshape(SIDE, OVERSAMPLING, SIDE, OVERSAMPLING).mean(axis=(1, 3))
+    return blocks / blocks.mean()
+
+
+def _growing_light(radius, exposure_s, values, width_factor):
+    """Return the light of the paper's model: width p1 ln t + p2, level after Eqs. 13 and 28, top hat of Eq. 39."""
+    propagation_px = width_factor * propagation.beam_propagation(exposure_s, values["p1"], values["p2"])
+    sigma_px = propagation.spot_sigma(max(propagation_px, 1.0), LASER_PX)
+    level = values["plateau"] * (propagation_px / sigma_px) ** 2 / spot.TOP_HAT_LEVEL
+    return spot.top_hat(level * np.exp(-(radius**2) / (2 * sigma_px**2)), level)
+
+
+def _gaussian_light(radius, exposure_s, values, width_factor):
+    """Return the light of a Gaussian of constant width, in proportion to the exposure."""
+    return values["peak"] * exposure_s / LONGEST_S * np.exp(-(radius**2) / (2 * values["width"] ** 2))
+
+
+def _exponential_light(radius, exposure_s, values, width_factor):
+    """Return the light of an exponential profile of constant width, in proportion to the exposure."""
+    return values["peak"] * exposure_s / LONGEST_S * np.exp(-radius / values["width"])
+
+
+def _pass(electrons, values, rng):
+    """Return the electrons: no limit but the converter's."""
+    return electrons
+
+
+def _clip(electrons, values, rng):
+    """Return electrons clipped at a level that scatters from pixel to pixel."""
+    level_e = values["level"] / GAIN_DN_PER_E * (1 + values["level_scatter"] * rng.standard_normal(electrons.shape))
+    return np.minimum(electrons, level_e)
+
+
+def _bend(electrons, values, rng):
+    """Return electrons of a pixel whose response bends smoothly towards a level."""
+    level_e, order = values["level"] / GAIN_DN_PER_E, values["order"]
+    return electrons / (1 + (electrons / level_e) ** order) ** (1 / order)
+
+
+def _clip_during_exposure(electrons, values, rng):
+    """Return electrons of a pixel that is held at a level until a last, short part of the exposure."""
+    return np.minimum(electrons, values["level"] / GAIN_DN_PER_E + values["last_slope"] * electrons)
+
+
+_BRIGHTNESS = Parameter("brightness_sd", "1", 0.05, 1.0)
+_CONTRAST = Parameter("contrast", "1", 0.05, 0.9)
+_PEAK = Parameter("peak", "DN", 1e3, 1e5)
+_LEVEL = Parameter("level", "DN", 700.0, 850.0)
+_WIDTH = Parameter("width", "px", 4.0, 14.0)
+
+WORLDS = (
+    World(
+        "growth",
+        "spot grows with exposure (the paper's model)",
+        (
+            Parameter("p1", "px", 1.5, 4.0),
+            Parameter("p2", "px", 25.0, 50.0),
+            Parameter("plateau", "DN", 600.0, 1000.0),
+            _BRIGHTNESS,
+            Parameter("width_sd", "1", 0.02, 0.5),
+            _CONTRAST,
+        ),
+        _growing_light,
+        _pass,
+    ),
+    World(
+        "gaussian clip",
+        "Gaussian of constant width, hard clip",
+        (_WIDTH, _PEAK, _LEVEL, Parameter("level_scatter", "1", 0.001, 0.03), _BRIGHTNESS, _CONTRAST),
+        _gaussian_light,
+        _clip,
+    ),
+    World(
+        "exponential clip",
+        "exponential profile of constant width, hard clip",
+        (
+            Parameter("width", "px", 1.5, 8.0),
+            _PEAK,
+            _LEVEL,
+            Parameter("level_scatter", "1", 0.001, 0.03),
+            _BRIGHTNESS,
+            _CONTRAST,
+        ),
+        _exponential_light,
+        _clip,
+    ),
+    World(
+        "soft knee",
+        "Gaussian of constant width, response with a soft knee",
+        (_WIDTH, _PEAK, _LEVEL, Parameter("order", "1", 1.5, 20.0), _BRIGHTNESS, _CONTRAST),
+        _gaussian_light,
+        _bend,
+    ),
+    World(
+        "multiple slope",
+        "Gaussian of constant width, pixels held at a level during the exposure",
+        (_WIDTH, _PEAK, _LEVEL, Parameter("last_slope", "1", 1e-5, 1e-2), _BRIGHTNESS, _CONTRAST),
+        _gaussian_light,
+        _clip_during_exposure,
+    ),
+)
