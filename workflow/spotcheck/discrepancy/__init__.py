@@ -1,5 +1,5 @@
-"""Disagreement of simulation and measurement, and the physical effects that the model lacks.
+"""Comparison of measured frames with the model of the instrument, and search for physical effects that the model lacks.
 
-In: crops of spot frames, or levels of flats and darks, with the instrument's model. Out: a verdict: the effects that
-were added to the model with values and errors, and how far that closes the gap on held-out frames.
+In: crops of spot frames, or levels of flats and darks, and the model of the instrument. Out: a verdict with the effects
+that were added to the model, their values and errors, and the part of the residual on held-out frames they explain.
 """

@@ -1,9 +1,16 @@
 """The additional measurement that would separate a named effect from its nearest rival.
 
-For a few candidate conditions the named effect predicts what n more frames would read, and the rival is refitted to
-them linearly. With residuals r of the rival in one frame beside the spot of this frame, the scores c = C'V⁻¹r of the
-rival's parameters, their information M = C'V⁻¹C by one frame and I by the present ones, −2 ln L of the rival grows by
-n r'V⁻¹r − n² c'(I + n M)⁻¹ c.
+A rival is an effect that explains the present frames nearly as well as the named one. For each of a few candidate
+conditions, the model with the named effect predicts the readings of n more frames. The model with the rival is then
+refitted to them linearly.
+
+Let r be the residual of the rival in one such frame, after a fit of the spot parameters (ln peak, ln σ, x, y) of this
+frame, and V its covariance. C holds the derivatives by the fitted parameters of sensor and effects of the rival's
+model. Their score is c = C'V⁻¹r. Their information is M = C'V⁻¹C by one new frame, and I by the present frames. Then
+−2 ln L of the rival increases by n r'V⁻¹r − n² c'(I + n M)⁻¹ c.
+
+A law is an effect that changes only brightness and width of the spots, from frame to frame. Laws are compared by
+ln peak and ln σ of the spots, all other effects by the readings of the pixels.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,58 +20,65 @@ import numpy as np
 
 from spotcheck.discrepancy.candidates import changes_mean_image, list_starts, screen_candidates
 from spotcheck.discrepancy.criteria import MIN_GAIN
-from spotcheck.discrepancy.evaluation import columns_of, evaluate
+from spotcheck.discrepancy.evaluation import differentiate_readings, evaluate
 from spotcheck.discrepancy.evidence import information_beside
 from spotcheck.discrepancy.findings import Advice, NamedEffect
-from spotcheck.discrepancy.frames import Design, FrameParameters, Pixels, thin_pixels
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import LawFit, LawSearch, is_law, spot_conditions
 from spotcheck.model.effect import Effect, EffectScales
 from spotcheck.model.forward import ForwardModel
 
-# More frames than this nobody takes for one question.
+# Most frames that an advice may ask for; nobody takes more for one question.
 MOST_FRAMES = 200
 # Part of full scale above which a predicted reading might clip.
 USABLE_SHARE = 0.97
 # ln of the peak [DN] of a blocked beam.
 BLOCKED_LOG_PEAK = -20.0
-# Effort of fits to thinned pixels: decrement of the effects and most iterations.
+# Effort of fits to thinned pixels: Newton decrement of the effects, and most iterations.
 TOLERANCE, ITERATIONS = 0.3, 14
-# Relative step of differences in parameters of laws, and the least scale of a parameter.
+# Relative step of differences in parameters of laws, and the least magnitude that it is relative to.
 STEP, LEAST_SCALE = 1e-5, 1e-2
-# Singular value below which the columns of a spot are taken as 0, in terms of the largest.
+# Singular value of the derivatives by spot parameters that counts as 0, relative to the largest.
 NULL_SINGULAR = 1e-9
+# Angles [deg] beyond the largest present one that are tried.
+FURTHER_ANGLES_DEG = (22.5, 45)
 
+# Condition of a new frame: `exposure_s`, and perhaps `angle_deg`, or `blocked` (True) for a blocked beam.
 Condition = Mapping[str, float | bool]
 
 
 @dataclass(frozen=True)
 class FrameWorth:
-    """What one frame of a condition says against the rival."""
+    """Evidence of one frame of a condition against the rival; symbols as in the module's formula."""
 
     square: float  # r'V⁻¹r
     score: np.ndarray  # c of the rival's parameters [parameter]
     information: np.ndarray  # M [parameter, parameter]
 
     def growth(self, frames: int, known: np.ndarray) -> float:
-        """Return how much −2 ln L of the rival grows by some frames; `known` is the information I so far."""
+        """Return the increase of −2 ln L of the rival by `frames` frames; `known` is the information I so far."""
         solved = np.linalg.lstsq(known + frames * self.information, self.score, rcond=None)[0]
         return float(frames * self.square - frames**2 * self.score @ solved)
 
     def frames_needed(self, known: np.ndarray) -> int:
-        """Return the least number of frames with a growth of `MIN_GAIN`; one more than `MOST_FRAMES` if these fail."""
+        """Return the least number of frames with a growth of `MIN_GAIN`, or `MOST_FRAMES` + 1 if more are needed."""
         numbers = range(1, MOST_FRAMES + 1)
         return next((n for n in numbers if self.growth(n, known) >= MIN_GAIN), MOST_FRAMES + 1)
 
 
+# Function that returns the worth of a frame of a condition; None if its readings might clip or cannot be predicted.
+WorthFunction = Callable[[Condition], FrameWorth | None]
+
+
 @dataclass(frozen=True)
 class PresentFits:
-    """Fits of the frames that there are."""
+    """Fits of the present frames."""
 
     fit: JointFit  # final fit of the mean image
-    scales: EffectScales  # scales of the dataset
+    scales: EffectScales  # sizes of the dataset, from which effects derive bounds and starting values
     search: LawSearch | None = None  # search for laws; None without a law of the exposure
-    laws: LawFit | None = None  # fit of the laws
+    laws: LawFit | None = None  # fit of the laws; None without a law of the exposure
 
 
 def advise(named: Sequence[NamedEffect], effects: Sequence[Effect], present: PresentFits) -> tuple[Advice, ...]:
@@ -75,109 +89,126 @@ def advise(named: Sequence[NamedEffect], effects: Sequence[Effect], present: Pre
     named : sequence of NamedEffect
         Effects that are reported, with their rivals.
     effects : sequence of Effect
-        Effects that were looked for.
+        Effects that were searched for.
     present : PresentFits
-        Fits of the frames that there are.
+        Fits of the present frames.
 
     Returns
     -------
     tuple of Advice
-        None for pairs that no condition separates within `MOST_FRAMES` frames, and for effects that scatter.
+        At most one per named effect. There is none if no condition separates the pair within `MOST_FRAMES` frames, or
+        if one of both effects is random.
     """
     by_name = {effect.name: effect for effect in effects}
-    found = []
+    advices = []
     for effect in named:
-        rivals = {name: behind for name, behind in effect.rivals.items() if name in by_name}
-        if not rivals:
+        # Nearest: the rival with the least excess of −2 ln L over the named effect.
+        excesses = {name: excess for name, excess in effect.rivals.items() if name in by_name}
+        if not excesses:
             continue
-        rival = by_name[min(rivals, key=lambda name: rivals[name])]
-        pair = None
+        rival = by_name[min(excesses, key=lambda name: excesses[name])]
+        comparison = None
         if is_law(effect.applied.effect) and is_law(rival):
-            pair = compare_laws(effect.applied.effect, rival, present)
+            comparison = compare_laws(effect.applied.effect, rival, present)
         elif effect.name in present.fit.model.effect_names and changes_mean_image(rival):
-            pair = compare_images(effect.name, rival, present)
-        best = None if pair is None else choose_condition(list_conditions(present.fit.model.design), *pair)
+            comparison = compare_images(effect.name, rival, present)
+        best = None if comparison is None else choose_condition(list_conditions(present.fit.model.design), *comparison)
         if best is not None:
-            found.append(Advice(best[0], (effect.name, rival.name), best[1]))
-    return tuple(found)
+            advices.append(Advice(best[0], (effect.name, rival.name), best[1]))
+    return tuple(advices)
 
 
 def choose_condition(
-    conditions: Sequence[Condition], worth_of: Callable[[Condition], FrameWorth | None], known: np.ndarray
+    conditions: Sequence[Condition], worth_of: WorthFunction, known: np.ndarray
 ) -> tuple[Condition, int] | None:
-    """Return the condition that needs the fewest frames, of those the one that is worth most, and their number; None if
-    none will do."""
-    needed = []
+    """Return the condition that needs the fewest frames, and their number; None if none suffices.
+
+    Among conditions that need equally many, the one with the largest growth of −2 ln L wins. `known` is the information
+    I of the present frames [parameter, parameter].
+    """
+    sufficient = []
     for condition in conditions:
         worth = worth_of(condition)
         frames = MOST_FRAMES + 1 if worth is None else worth.frames_needed(known)
         if worth is not None and frames <= MOST_FRAMES:
-            needed.append((frames, -worth.growth(frames, known), condition))
-    best = min(needed, key=lambda entry: entry[:2], default=None)
+            sufficient.append((frames, -worth.growth(frames, known), condition))
+    best = min(sufficient, key=lambda entry: entry[:2], default=None)
     return None if best is None else (best[2], best[0])
 
 
 def list_conditions(design: Design) -> list[Condition]:
-    """Return candidate conditions: exposures and, at the longest one, angles between and beyond the present ones; and a
-    blocked beam."""
+    """Return candidate conditions of a new frame.
+
+    These are exposures below, between and above the present ones if exposures were recorded; at the longest present
+    exposure, angles between and beyond the present ones if there are several; and a blocked beam.
+    """
     exposures, angles = np.unique(design.exposure_s), np.unique(np.rad2deg(design.angle))
     conditions: list[Condition] = []
     if design.has_exposures:
         between = np.sqrt(exposures[:-1] * exposures[1:])
-        tried = (exposures[0] / 4, exposures[0] / 2, *between, *exposures[[-1]], 2 * exposures[-1], 4 * exposures[-1])
-        conditions = [{"exposure_s": float(exposure_s)} for exposure_s in tried]
+        candidates = (exposures[0] / 4, exposures[0] / 2, *between, *(exposures[-1] * np.array([1, 2, 4])))
+        conditions = [{"exposure_s": float(exposure_s)} for exposure_s in candidates]
     longest = {"exposure_s": float(exposures[-1])}
     if len(angles) > 1:
-        tried = (*((angles[:-1] + angles[1:]) / 2), angles[-1] + 22.5, angles[-1] + 45)
-        conditions += [{**longest, "angle_deg": float(angle_deg)} for angle_deg in tried]
+        candidates = (*((angles[:-1] + angles[1:]) / 2), *(angles[-1] + FURTHER_ANGLES_DEG))
+        conditions += [{**longest, "angle_deg": float(angle_deg)} for angle_deg in candidates]
     return [*conditions, {**longest, "blocked": True}]
 
 
 def design_at(design: Design, condition: Condition) -> tuple[int, Design]:
-    """Return the present frame whose exposure comes nearest to a condition, and the design of a new frame after all
-    present ones."""
+    """Return (frame, design): the present frame of the nearest exposure, and the design of a new frame of a condition.
+
+    The new frame is taken after all present ones, and like the nearest one in all that the condition does not fix.
+    """
     exposure_s = float(condition["exposure_s"])
     frame = int(np.argmin(np.abs(np.log(design.exposure_s / exposure_s))))
-    new = replace(design.select(slice(frame, frame + 1)), exposure_s=np.array([exposure_s]), order=np.ones(1))
     angle = np.deg2rad(float(condition["angle_deg"])) if "angle_deg" in condition else design.angle[frame]
-    return frame, replace(new, angle=np.array([angle]))
+    nearest = design.select(slice(frame, frame + 1))
+    return frame, replace(nearest, exposure_s=np.array([exposure_s]), order=np.ones(1), angle=np.array([angle]))
 
 
 # Effects of the mean image
 
 
-def compare_images(
-    name: str, rival: Effect, present: PresentFits
-) -> tuple[Callable[[Condition], FrameWorth | None], np.ndarray] | None:
-    """Return the worth of a frame by its condition, and the information on the rival so far; None if no rival fits."""
-    fit, thin = present.fit, thin_pixels(present.fit.pixels)
-    without = fit_jointly(fit.model.without_effect(name), thin, tolerance=TOLERANCE, iterations=ITERATIONS)
+def compare_images(name: str, rival: Effect, present: PresentFits) -> tuple[WorthFunction, np.ndarray] | None:
+    """Compare a named effect and a rival by the pixels of a new frame.
+
+    Returns
+    -------
+    tuple of function and array [parameter, parameter], or None
+        Worth of a frame of a condition, and the information I of the present frames on the fitted parameters of sensor
+        and effects of the rival's model. None if no start of the rival can be fitted.
+    """
+    fit, thinned = present.fit, thin_pixels(present.fit.pixels)
+    without = fit_jointly(fit.model.without_effect(name), thinned, tolerance=TOLERANCE, iterations=ITERATIONS)
     candidates = screen_candidates(without, list_starts([rival], present.scales))
     if not candidates:
         return None
-    model = without.model.with_effect(candidates[0].start, present.scales)
-    other = fit_jointly(model, thin, tolerance=TOLERANCE, iterations=ITERATIONS)
-    targets = np.arange(4 * other.equations.frames, other.equations.size)
-    known = information_beside(other, targets) * fit.pixels.share / thin.share
+    rival_model = without.model.with_effect(candidates[0].start, present.scales)
+    rival_fit = fit_jointly(rival_model, thinned, tolerance=TOLERANCE, iterations=ITERATIONS)
+    targets = np.arange(SPOT_PARAMETERS * rival_fit.equations.frames, rival_fit.equations.size)
+    known = information_beside(rival_fit, targets) * fit.pixels.share / thinned.share
 
     def worth_of(condition: Condition) -> FrameWorth | None:
-        first, pixels = predict_frame(fit.model, fit.pixels, condition, present)
-        expected = evaluate(first, pixels, slice(0, 1), with_slopes=False)
-        readings, root = expected.moments.mean, np.sqrt(expected.weight).ravel()
-        if readings.max() > USABLE_SHARE * first.forward.sensor.full_scale_dn:
+        """Return the worth of a frame of a condition; None if its readings might clip."""
+        model, pixels = predict_frame(fit.model, fit.pixels, condition, present)
+        expected = evaluate(model, pixels, slice(0, 1), with_slopes=False)
+        readings, root_weight = expected.moments.mean, np.sqrt(expected.weight).ravel()
+        if readings.max() > USABLE_SHARE * model.forward.sensor.full_scale_dn:
             return None
-        # The rival's spot starts from that of the named effect, and is refitted linearly.
-        second = replace(first, forward=other.model.forward, free=other.model.free)
-        at = evaluate(second, replace(pixels, readings=np.where(pixels.is_used, readings, 0.0)), slice(0, 1))
-        spot = (at.moments.mean_slope * at.slopes).reshape(4, -1) * root
+        # The rival's spot starts from that of the named effect, and is refitted linearly: the basis spans its changes.
+        model = replace(model, forward=rival_fit.model.forward, free=rival_fit.model.free)
+        rival = evaluate(model, replace(pixels, readings=np.where(pixels.is_used, readings, 0.0)), slice(0, 1))
+        shape = rival.weight.shape
         columns = np.array(
-            [np.broadcast_to(mean, at.weight.shape).ravel() * root for mean, _ in columns_of(second, at)]
+            [np.broadcast_to(mean, shape).ravel() * root_weight for mean, _ in differentiate_readings(model, rival)]
         )
-        basis = np.zeros((0, root.size))
+        basis = np.zeros((0, root_weight.size))
         if not condition.get("blocked"):
+            spot = (rival.moments.mean_slope * rival.slopes).reshape(SPOT_PARAMETERS, -1) * root_weight
             _, singular, basis = np.linalg.svd(spot / np.linalg.norm(spot, axis=1, keepdims=True), full_matrices=False)
             basis = basis[singular > NULL_SINGULAR]
-        residual = at.residual.ravel() * root
+        residual = rival.residual.ravel() * root_weight
         residual, columns = residual - basis.T @ (basis @ residual), columns - columns @ basis.T @ basis
         return FrameWorth(float(residual @ residual), columns @ residual, columns @ columns.T)
 
@@ -187,9 +218,14 @@ def compare_images(
 def predict_frame(
     model: JointModel, pixels: Pixels, condition: Condition, present: PresentFits
 ) -> tuple[JointModel, Pixels]:
-    """Return the model of one frame of a condition, and its pixels."""
+    """Return the model of one new frame of a condition, and its pixels.
+
+    Spot and pixels are those of the present frame of the nearest exposure. Its peak and width follow the fitted laws;
+    without laws, the peak is proportional to the exposure.
+    """
     frame, design = design_at(model.design, condition)
-    spots = model.spots.select(slice(frame, frame + 1))
+    nearest = slice(frame, frame + 1)
+    spots = model.spots.select(nearest)
     log_peak, log_sigma = spots.log_peak, spots.log_sigma
     if condition.get("blocked"):
         log_peak = np.full(1, BLOCKED_LOG_PEAK)
@@ -197,61 +233,71 @@ def predict_frame(
         log_peak = log_peak + np.log(design.exposure_s / model.design.exposure_s[frame])
     else:
         law = replace(present.search.forward, law=present.laws.law, effects=present.laws.effects)
-        new, old = (predict_spot(law, d) for d in (design, model.design.select(slice(frame, frame + 1))))
-        log_peak, log_sigma = log_peak + new[0] - old[0], log_sigma + new[1] - old[1]
-    moved = FrameParameters(log_peak, log_sigma, spots.x, spots.y)
-    return replace(model, spots=moved, design=design, grid=None), pixels.select(slice(frame, frame + 1))
+        predicted, present_spot = predict_spot(law, design), predict_spot(law, model.design.select(nearest))
+        log_peak, log_sigma = log_peak + predicted[0] - present_spot[0], log_sigma + predicted[1] - present_spot[1]
+    spots = FrameParameters(log_peak, log_sigma, spots.x, spots.y)
+    # Without a grid the light shape is kept as fitted.
+    return replace(model, spots=spots, design=design, grid=None), pixels.select(nearest)
 
 
 # Laws
 
 
 def predict_spot(model: ForwardModel, design: Design) -> np.ndarray:
-    """Return ln peak and ln σ of one frame under a law [2]."""
+    """Return ln peak [ln DN] and ln σ [ln px] of one frame under the laws of a model [2]; NaN outside their domain."""
     spot = model.spot(spot_conditions(design))
     return np.log([float(np.ravel(spot.peak_dn)[0]), float(np.ravel(spot.sigma_px)[0])])
 
 
-def compare_laws(
-    effect: Effect, rival: Effect, present: PresentFits
-) -> tuple[Callable[[Condition], FrameWorth | None], np.ndarray] | None:
-    """Return the worth of a frame by its condition, and the information on the laws with the rival so far."""
+def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[WorthFunction, np.ndarray] | None:
+    """Compare a named law and a rival law by brightness and width of the spot of a new frame.
+
+    Returns
+    -------
+    tuple of function and array [parameter, parameter], or None
+        Worth of a frame of a condition, and the information I of the present frames on the parameters of the laws with
+        the rival. None without laws.
+    """
     search, laws = present.search, present.laws
     if search is None or laws is None:
         return None
-    kept = [applied.effect for applied in laws.effects if applied.effect.name not in (effect.name, rival.name)]
-    other = search.fit([*kept, rival])
-    first, second = (replace(search.forward, law=fit.law, effects=fit.effects) for fit in (laws, other))
+    others = [applied.effect for applied in laws.effects if applied.effect.name not in (effect.name, rival.name)]
+    rival_laws = search.fit([*others, rival])
+    model, rival_model = (replace(search.forward, law=fit.law, effects=fit.effects) for fit in (laws, rival_laws))
     covariance = np.linalg.inv(search.inverse)
 
     def worth_of(condition: Condition) -> FrameWorth | None:
+        """Return the worth of a frame of a condition; None if it is blocked, might clip, or lies outside a law."""
         if condition.get("blocked"):
             return None
         frame, design = design_at(search.design, condition)
-        expected, predicted = predict_spot(first, design), predict_spot(second, design)
+        expected, rival_expected = predict_spot(model, design), predict_spot(rival_model, design)
         sensor = search.forward.sensor
         brightest = sensor.black_level_dn + search.forward.baseline.plateau(np.exp(expected[0]))
-        if not np.isfinite([*expected, *predicted]).all() or brightest > USABLE_SHARE * sensor.full_scale_dn:
+        if not np.isfinite([*expected, *rival_expected]).all() or brightest > USABLE_SHARE * sensor.full_scale_dn:
             return None
-        # The errors of a shorter exposure are those of its photons.
+        # Covariance of ln peak and ln σ of the nearest frame; the part by photon noise is scaled with 1/exposure.
         index = np.ix_([frame, search.frames + frame], [frame, search.frames + frame])
-        fewer = max(search.design.exposure_s[frame] / design.exposure_s[0], 1.0)
-        weight = np.linalg.inv(covariance[index] + (fewer - 1) * search.noise[index])
-        slopes = np.array([slope_of_spot(second, parameter, design) for parameter in other.names]).T
-        residual = expected - predicted
+        exposure_ratio = max(search.design.exposure_s[frame] / design.exposure_s[0], 1.0)
+        weight = np.linalg.inv(covariance[index] + (exposure_ratio - 1) * search.noise[index])
+        slopes = np.array([slope_of_spot(rival_model, parameter, design) for parameter in rival_laws.names]).T
+        residual = expected - rival_expected
         return FrameWorth(float(residual @ weight @ residual), slopes.T @ weight @ residual, slopes.T @ weight @ slopes)
 
-    return worth_of, other.jacobian.T @ search.inverse @ other.jacobian
+    return worth_of, rival_laws.jacobian.T @ search.inverse @ rival_laws.jacobian
 
 
 def slope_of_spot(model: ForwardModel, parameter: tuple[str, str], design: Design) -> np.ndarray:
-    """Return the derivative of ln peak and ln σ of one frame by a parameter (effect, name) of laws [2]."""
+    """Return the derivatives of ln peak and ln σ of one frame by a parameter of its laws [2].
+
+    The parameter is given as (effect, name); the effect is "" for the exposure law.
+    """
     effect, name = parameter
     if effect:
         applied = next(applied for applied in model.effects if applied.effect.name == effect)
         step = STEP * max(abs(applied.parameters[name]), LEAST_SCALE)
-        other = applied.with_value(name, applied.parameters[name] + step)
-        moved = replace(model, effects=tuple(other if a is applied else a for a in model.effects))
+        changed = applied.with_value(name, applied.parameters[name] + step)
+        moved = replace(model, effects=tuple(changed if other is applied else other for other in model.effects))
     else:
         assert model.law is not None
         value = getattr(model.law, name)

@@ -1,7 +1,14 @@
-"""Order of work for the spot frames of a dataset: from crops to all that is concluded.
+"""Order of work for the spot frames of a dataset: from crops to the results of all fits and tests.
 
-1. Hot pixels and the declared fit. 2. Scatter of pixels, which enters the variance of readings. 3. Effects of the mean
-image. 4. Scatter again, beside them. 5. Laws of brightness and width. 6. Held-out repeats.
+1. Mask hot pixels and fit the declared model. 2. Measure the scatter of pixels, which enters the variance of readings.
+3. Select effects of the mean image. 4. Measure the scatter again, about the fit with the effects. 5. Find laws of
+brightness and width. 6. Predict held-out repeats.
+
+The declared model is that of the instrument, without effects. The spot parameters of a frame are ln peak, ln σ, x and
+y. A site is the set of frames of the same angle, settings and repeat. Granular light is a random field in the light
+that frames of a site share and that neighbouring pixels share ("grains"). Its dispersion is the factor by which it
+increases the variance of sums of residuals. A law is an effect that changes only brightness and width, from frame to
+frame. A free shape is a light shape whose values at nodes are fitted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -54,14 +61,18 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import SensorModel
 
-# Rank of the reading of a frame that counts as its brightest: hot pixels do not.
+# The 40th largest reading of a frame counts as its brightest, so that hot pixels do not.
 BRIGHT_RANK = 40
 # Factor by which a fitted gain may differ from the stated one.
 GAIN_FACTOR = 2.0
-# Relative step of the read noise in the slope of the variance of dark readings.
+# Step of differences of dark readings, by their noise and by light, relative to the read noise.
 NOISE_STEP = 0.01
+# Largest reading [DN] of a camera whose full scale is unknown (infinite).
+LARGEST_READING_DN = 65535.0
+# Least difference of a spot's width from the laser's [px] in the start of the exponent of the width.
+LEAST_BROADENING_PX = 0.1
 
-# Random steps of effects that stand for variance components of the spots.
+# Stage and scope of the random step of effects that stand for a variance component of the spots, by the component.
 COMPONENTS = {
     "frame brightness": (Stage.BRIGHTNESS, Scope.FRAME),
     "site brightness": (Stage.BRIGHTNESS, Scope.SITE),
@@ -73,12 +84,12 @@ Log = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Setting:
-    """What the instrument fixes."""
+    """Properties that the instrument fixes."""
 
     baseline: Baseline  # declared model of the light
-    sensor: SensorModel  # stated sensor
+    sensor: SensorModel  # sensor as in the data sheet
     crop_px: float  # side of the crops [px]
-    stderr: Mapping[str, float] = field(default_factory=dict)  # standard errors of fields of the sensor, if stated
+    stderr: Mapping[str, float] = field(default_factory=dict)  # stated standard errors, by field of `sensor`
 
 
 @dataclass(frozen=True)
@@ -95,47 +106,47 @@ class Scatter:
 class Prepared:
     """Frames of a dataset with the fit of the declared model."""
 
-    frames: FrameSet  # that are searched
-    unseen: FrameSet  # held-out repeats, maybe none
-    unseen_spots: FrameParameters  # spots of these, from which fits start
+    frames: FrameSet  # frames to which models are fitted
+    unseen: FrameSet  # held-out repeats; may be empty
+    unseen_spots: FrameParameters  # spot parameters from which fits of the held-out repeats start
     hot_pixels: int  # number of hot pixels, which are masked
-    setting: Setting
-    declared: JointFit  # fit without effects
-    images: ResidualImages  # its residuals
-    scales: EffectScales
+    setting: Setting  # properties of the instrument
+    declared: JointFit  # fit of the declared model
+    images: ResidualImages  # residuals of this fit
+    scales: EffectScales  # sizes of the dataset, from which effects derive bounds and starting values
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """All that is concluded of a set of spot frames."""
+    """Results of all fits and tests of a set of spot frames."""
 
-    prepared: Prepared
-    selected: SelectedEffects  # effects of the mean image
-    shape: ShapeExplanation | None  # what stands for the learned light shape
+    prepared: Prepared  # frames and the declared fit
+    selected: SelectedEffects  # final fit of the mean image with its effects
+    shape: ShapeExplanation | None  # static shapes that explain the free shape; None if the fit has no free shape
     images: ResidualImages  # residuals of the final fit
-    scatter: Scatter  # scatter of pixels beside the effects
-    named_scatter: tuple[NamedScatter, ...]  # effects that scatter
-    search: LawSearch | None  # of laws of brightness and width; None without a law of the exposure
+    scatter: Scatter  # scatter of pixels about the final fit
+    named_scatter: tuple[NamedScatter, ...]  # random effects that were assessed, with reasons against those not named
+    search: LawSearch | None  # search for laws of brightness and width; None without a law of the exposure
     laws: FoundLaws | None  # laws of brightness and width; None without a law of the exposure
-    validated: ValidatedChain | None  # predictions of held-out frames; None if there are none
-    withdrawn: tuple[str, ...] = ()  # effects with which held-out frames are predicted worse
+    validated: ValidatedChain | None  # predictions of held-out frames; None without these or without laws
+    withdrawn: tuple[str, ...] = ()  # effects that were removed, since they worsen the prediction of held-out frames
 
 
 def analyse_frames(
     frames: FrameSet, spots: FrameParameters, setting: Setting, effects: Sequence[Effect], log: Log = lambda text: None
 ) -> Analysis:
-    """Find what the declared model misses in spot frames.
+    """Search spot frames for effects that the declared model lacks.
 
     Parameters
     ----------
     frames : FrameSet
         All frames; held-out repeats take part in the validation alone.
     spots : FrameParameters
-        Spot of each frame, from which the fits start.
+        Spot parameters of each frame, from which the fits start.
     setting : Setting
-        The instrument's model.
+        Properties of the instrument.
     effects : sequence of Effect
-        Effects to look for.
+        Effects to search for.
     log : callable
         Receives lines of text on the progress.
     """
@@ -147,67 +158,68 @@ def analyse_frames(
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
     update = partial(update_dispersion, frames=prepared.frames)
     selected = select_effects(first, mean_effects, prepared.scales, log, update)
-    scattered = add_white_field(prepared, first)
-    if scattered is not None:
+    with_field = add_white_field(prepared, first)
+    if with_field is not None:
         log("single pixels scatter: searched again with a field")
-        pixels = add_field(selected.fit.pixels, scattered.frames)
-        other = select_again(selected, pixels, mean_effects, prepared.scales, log, update)
-        if other.fit.deviance + price_of_fit(other.fit) < selected.fit.deviance + price_of_fit(selected.fit):
-            prepared, selected = scattered, other
+        pixels = add_field(selected.fit.pixels, with_field.frames)
+        selected_again = select_again(selected, pixels, mean_effects, prepared.scales, log, update)
+        if penalized_deviance(selected_again.fit) < penalized_deviance(selected.fit):
+            prepared, selected = with_field, selected_again
     progress.begin_step("predicting held-out frames", 0.7, 0.85)
     withdrawn: tuple[str, ...] = ()
     while True:
         analysis = examine(prepared, selected, [e for e in effects if e.name not in withdrawn], log)
         refuted = analysis.validated.refuted() if analysis.validated else ()
         log(f"refuted by held-out frames: {', '.join(refuted) or 'nothing'}")
-        if not set(refuted) - {LIGHT_SHAPE}:
+        # Only effects are withdrawn: a refuted light shape stays in the fit.
+        refuted_effects = tuple(name for name in refuted if name != LIGHT_SHAPE)
+        if not refuted_effects:
             return replace(analysis, withdrawn=withdrawn)
-        withdrawn = (*withdrawn, *(name for name in refuted if name != LIGHT_SHAPE))
+        withdrawn = (*withdrawn, *refuted_effects)
         selected = withdraw_effects(selected, withdrawn, prepared.scales, log)
 
 
 def fit_with_clip(prepared: Prepared, effects: Sequence[Effect]) -> JointFit:
-    """Return the fit with a clip where readings pile up, else the declared fit."""
+    """Return the fit with a clip if readings pile up at a level, else the declared fit."""
     fit = fit_saturated(prepared.declared, replace(prepared.frames, light_field=None), effects, prepared.scales)
     return fit if fit is prepared.declared else fit_with_field(fit, prepared.frames)
 
 
 def add_white_field(prepared: Prepared, first: JointFit) -> Prepared | None:
-    """Return the frames with the field of single pixels that residuals of the first fit show; None without one.
+    """Add the random field of single pixels that residuals of the first fit show; return None if they show none.
 
     Gains of pixels are such a field. An effect that changes the noise of photons, such as a curved response, looks like
-    one, so that effects are selected without and with it.
+    one. Effects are therefore selected both without and with the field.
     """
     if prepared.frames.light_field is not None:
         return None
     images = prepared.images if first is prepared.declared else measure_residuals(first.model, prepared.frames)
-    white = estimate_white_field(images)
-    if not white.variance > MIN_Z * white.stderr:
+    white_field = estimate_white_field(images)
+    if not white_field.variance > MIN_Z * white_field.stderr:
         return None
-    variance = white.variance * images.spot**2
+    variance = white_field.variance * images.spot**2
     light_field = LightField(variance, dispersion=1.0, share=np.zeros_like(variance), mean_share=0.0)
     frames = replace(prepared.frames, light_field=light_field)
     declared = fit_declared(frames, prepared.declared.model.spots, prepared.setting)
     return replace(prepared, frames=frames, declared=declared, images=measure_residuals(declared.model, frames))
 
 
-def price_of_fit(fit: JointFit) -> float:
-    """Return what a fit pays in −2 ln L for its parameters."""
-    of_shape = 0.0 if fit.model.grid is None else count_coefficients(fit.model)
-    return PARAMETER_PRICE * len(fit.model.free) + of_shape
+def penalized_deviance(fit: JointFit) -> float:
+    """Return −2 ln L with the price of the fitted parameters, by which fits with and without a field are compared."""
+    shape_price = 0.0 if fit.model.grid is None else count_coefficients(fit.model)
+    return fit.deviance + (PARAMETER_PRICE * len(fit.model.free) + shape_price)
 
 
 def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -> Prepared:
-    """Mask hot pixels, part held-out repeats, and fit the declared model."""
+    """Mask hot pixels, separate the held-out repeats, and fit the declared model."""
     frames, hot_pixels = mask_hot_pixels(frames, setting.sensor)
-    is_unseen = frames.held_out()
-    searched_index, unseen = np.flatnonzero(~is_unseen), np.flatnonzero(is_unseen)
-    searched = frames.select(searched_index)
-    declared = fit_declared(searched, spots.select(searched_index), setting)
+    is_held_out = frames.held_out()
+    searched = frames.select(~is_held_out)
+    declared = fit_declared(searched, spots.select(~is_held_out), setting)
     images = measure_residuals(declared.model, searched)
     light_field = find_light_field(images, declared)
     if light_field is not None:
-        # Structure of the light that moves with the spot looks like grains unless a free shape takes it.
+        # Structure of the light that moves with the spot looks like grains unless a free shape absorbs it.
         with_shape = fit_thinned_shape(declared)[1]
         light_field = find_light_field(measure_residuals(with_shape.model, searched), with_shape)
     if light_field is not None:
@@ -215,15 +227,15 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
         declared = fit_declared(searched, declared.model.spots, setting)
         images = measure_residuals(declared.model, searched)
     scales = scales_of(searched, declared.model, setting, images)
-    parts = (searched, frames.select(unseen), spots.select(unseen))
-    return Prepared(*parts, hot_pixels, setting, declared, images, scales)
+    unseen, unseen_spots = frames.select(is_held_out), spots.select(is_held_out)
+    return Prepared(searched, unseen, unseen_spots, hot_pixels, setting, declared, images, scales)
 
 
 def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Effect], log: Log) -> Analysis:
-    """Return scatter, laws and validation beside the effects of the mean image."""
+    """Measure scatter, find laws and predict held-out frames, all with the selected effects of the mean image."""
     fit, setting, scales = selected.fit, prepared.setting, prepared.scales
-    static = [effect for effect in effects if changes_mean_image(effect)]
-    shape = explain_shape(fit, static, scales, log) if fit.model.grid is not None else None
+    mean_effects = [effect for effect in effects if changes_mean_image(effect)]
+    shape = explain_shape(fit, mean_effects, scales, log) if fit.model.grid is not None else None
     images = prepared.images if fit is prepared.declared else measure_residuals(fit.model, prepared.frames)
     scatter = measure_scatter(images, fit, prepared.hot_pixels)
     search = None
@@ -235,8 +247,8 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:
         return analysis
-    found = find_laws(search, [effect for effect in effects if is_law(effect)])
-    analysis = replace(analysis, laws=found)
+    laws = find_laws(search, [effect for effect in effects if is_law(effect)])
+    analysis = replace(analysis, laws=laws)
     if len(prepared.unseen) == 0:
         return analysis
     parts = FittedParts(
@@ -244,7 +256,7 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
         with_shape=selected.with_shape,
         final=fit,
         search=search,
-        laws=tuple(law for law in found.laws if not law.reasons),
+        laws=tuple(law for law in laws.laws if not law.reasons),
         scatter=tuple(scattered for scattered in named if not scattered.reasons),
         images=images,
     )
@@ -252,16 +264,22 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
 
 
 def fit_declared(frames: FrameSet, spots: FrameParameters, setting: Setting) -> JointFit:
-    """Return the fit of the declared model; the read noise is a nuisance parameter."""
+    """Fit the declared model to frames, from starting values of their spots.
+
+    Beside the spot parameters, the read noise is fitted, and gain and black level if the data sheet has their errors.
+    """
     baseline = replace(setting.baseline, photon_budget="free")
     model = JointModel(ForwardModel(baseline, setting.sensor), spots, frames.design, free_sensor_parameters(setting))
     return fit_jointly(model, select_pixels(frames, spots))
 
 
 def free_sensor_parameters(setting: Setting) -> tuple[FreeParameter, ...]:
-    """Return the fitted numbers of the sensor: the read noise, and gain and black level if they have stated errors."""
-    noise = setting.sensor.read_noise_e
-    free = [FreeParameter("", "read_noise_e", READ_NOISE_RANGE[0] * noise, READ_NOISE_RANGE[1] * noise)]
+    """Return the fitted parameters of the sensor: the read noise, and gain and black level if their errors are stated.
+
+    The effect of a parameter of the sensor is named "".
+    """
+    low_noise, high_noise = (factor * setting.sensor.read_noise_e for factor in READ_NOISE_RANGE)
+    free = [FreeParameter("", "read_noise_e", low_noise, high_noise)]
     for name in ("gain_dn_per_e", "black_level_dn"):
         stated, stderr = getattr(setting.sensor, name), setting.stderr.get(name, 0.0)
         if stderr > 0:
@@ -274,9 +292,10 @@ def free_sensor_parameters(setting: Setting) -> tuple[FreeParameter, ...]:
 def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None:
     """Return the granular light that the residuals of a fit show; None if they show none.
 
-    With its part φ of the variance of a reading, the area a of its correlation [px] and n frames of a site that share
-    it, sums of residuals have 1 + (n a − 1) φ times the variance of independent ones; φ is its mean over the
-    information on the light. A field that is in the distribution of a reading adds no further variance.
+    The granular light has a part φ of the variance of a reading. Its correlation covers a pixels, and n frames of a
+    site share it. The dispersion of sums of residuals is then 1 + (n a − 1) φ. φ is a mean over pixels, weighted with
+    their information on the light. A model that contains granular light has its variance already, so that none is
+    added.
     """
     grains = estimate_granular_light(measure_fields(images))
     if not shows_grains(grains):
@@ -293,12 +312,12 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
 
 
 def shows_grains(grains: FieldEstimate) -> bool:
-    """Whether an estimate shows granular light."""
+    """Return whether granular light is significant, and nothing speaks against it."""
     return not grains.reasons and grains.variance > MIN_Z * grains.stderr
 
 
 def update_dispersion(fit: JointFit, frames: FrameSet) -> JointFit:
-    """Return a fit with the dispersion that its residuals show, if granular light is in its model."""
+    """Return a fit with the dispersion that its residuals show; as it is if its model has no granular light."""
     if not has_field(fit.model):
         return fit
     light_field = find_light_field(measure_residuals(fit.model, frames), fit)
@@ -308,7 +327,10 @@ def update_dispersion(fit: JointFit, frames: FrameSet) -> JointFit:
 
 
 def fit_with_field(saturated: JointFit, frames: FrameSet) -> JointFit:
-    """Return the fit of a clip with the granular light that its residuals show."""
+    """Refit a model with a clip, together with the granular light that its residuals show; as it is if there is none.
+
+    The fit is rough: effects are selected from it.
+    """
     light_field = find_light_field(measure_residuals(saturated.model, frames), saturated)
     if light_field is None:
         return saturated
@@ -317,51 +339,59 @@ def fit_with_field(saturated: JointFit, frames: FrameSet) -> JointFit:
 
 
 def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> Scatter:
-    """Return the scatter of pixels about a fit.
+    """Return the scatter of pixels about a fit; `hot_pixels` is their number.
 
-    At a single site gains of pixels are what neighbours do not share, unless there are grains.
+    At a single site, gains of pixels cannot be distinguished from grains by the frames of other sites. If there are no
+    significant grains, the field that neighbouring pixels do not share is then taken for the gains.
     """
     covariances = measure_fields(images)
     grains = estimate_granular_light(covariances)
-    is_alone = images.design.sites == 1 and not grains.variance > MIN_Z * grains.stderr
-    gains = estimate_white_field(images) if is_alone else estimate_pixel_gains(covariances)
+    is_without_grains = images.design.sites == 1 and not grains.variance > MIN_Z * grains.stderr
+    gains = estimate_white_field(images) if is_without_grains else estimate_pixel_gains(covariances)
     dark = measure_dark_noise(images, measure_dark_slopes(fit.model.forward))
     return Scatter(dark, grains, gains, hot_pixels)
 
 
 def measure_dark_slopes(forward: ForwardModel) -> DarkSlopes:
-    """Return the slopes of dark readings; all are 0 where the variance is at the floor of the fit."""
+    """Return the derivatives of mean and variance of dark readings by the read noise's variance and by the light.
+
+    All are 0 if the variance of a dark reading is below the floor of the fit, `LEAST_VARIANCE`.
+    """
     sensor, distribution = forward.sensor, forward.distribution()
     if distribution.variance(0.0) < LEAST_VARIANCE:
         return DarkSlopes(0.0, 0.0, 0.0, 0.0)
     noises = [sensor.read_noise_e * (1 + shift) for shift in (-NOISE_STEP, NOISE_STEP)]
     low, high = (replace(forward, sensor=replace(sensor, read_noise_e=noise)).distribution() for noise in noises)
-    by_noise = sensor.gain_dn_per_e**2 * (noises[1] ** 2 - noises[0] ** 2)
-    light = NOISE_STEP * distribution.noise_dn
-    variance, mean = (
-        float(high(0.0) - low(0.0)) / by_noise for low, high in ((low.variance, high.variance), (low.mean, high.mean))
+    noise_step = sensor.gain_dn_per_e**2 * (noises[1] ** 2 - noises[0] ** 2)
+    light_step = NOISE_STEP * distribution.noise_dn
+    return DarkSlopes(
+        variance_by_noise=float(high.variance(0.0) - low.variance(0.0)) / noise_step,
+        mean_by_noise=float(high.mean(0.0) - low.mean(0.0)) / noise_step,
+        variance_by_light=float(distribution.variance(light_step) - distribution.variance(0.0)) / light_step,
+        mean_by_light=float(distribution.mean(light_step) - distribution.mean(0.0)) / light_step,
     )
-    variance_by_light, mean_by_light = (
-        float(at(light) - at(0.0)) / light for at in (distribution.variance, distribution.mean)
-    )
-    return DarkSlopes(variance, mean, variance_by_light, mean_by_light)
 
 
 def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: ResidualImages) -> EffectScales:
-    """Return the scales from which effects derive bounds and starting values."""
+    """Return the scales of a dataset, from which effects derive bounds and starting values.
+
+    `model` and `images` are the declared model and its residuals.
+    """
     design, sensor = frames.design, setting.sensor
     is_longest = design.exposure_s == design.longest_s
     readings = np.where(np.isfinite(frames.readings), frames.readings, -np.inf).reshape(len(frames), -1)
-    brightest = np.partition(readings, -BRIGHT_RANK, axis=1)[:, -BRIGHT_RANK]
-    broadening = np.exp(model.spots.log_sigma) - setting.baseline.laser_px
+    brightest_dn = np.partition(readings, -BRIGHT_RANK, axis=1)[:, -BRIGHT_RANK]
+    brightest_quarter_dn = np.sort(brightest_dn)[-max(len(frames) // 4, 1) :]
+    broadening_px = np.exp(model.spots.log_sigma) - setting.baseline.laser_px
     exponent = 0.0
     if design.has_exposures and len(np.unique(design.exposure_s)) > 1:
-        exponent = float(np.polyfit(np.log(design.exposure_s), np.log(np.maximum(broadening, 0.1)), 1)[0])
+        log_broadening = np.log(np.maximum(broadening_px, LEAST_BROADENING_PX))
+        exponent = float(np.polyfit(np.log(design.exposure_s), log_broadening, 1)[0])
     waves, copies = find_peaks(images)
     return EffectScales(
         sigma_px=float(np.exp(np.median(model.spots.log_sigma[is_longest]))),
-        peak_dn=float(np.median(np.sort(brightest)[-max(len(frames) // 4, 1) :]) - sensor.black_level_dn),
-        full_scale_dn=min(sensor.full_scale_dn, 65535.0),
+        peak_dn=float(np.median(brightest_quarter_dn) - sensor.black_level_dn),
+        full_scale_dn=min(sensor.full_scale_dn, LARGEST_READING_DN),
         crop_px=setting.crop_px,
         shortest_s=float(design.exposure_s.min()),
         read_noise_e=sensor.read_noise_e,
@@ -381,22 +411,26 @@ def name_all_scatter(
     scales: EffectScales,
     search: LawSearch | None,
 ) -> tuple[NamedScatter, ...]:
-    """Return the effects of the scatter of pixels, and with a law of the exposure of that of the spots."""
+    """Return the random effects that explain the scatter of pixels and, with a search for laws, that of the spots.
+
+    Effects that are assessed but not named are among them, with reasons.
+    """
+    # Standard deviation of the draw of each kind of random step, by its stage and scope.
     deviations: dict[tuple[Stage, Scope], Deviation] = {
         (Stage.SPECKLE_FIELD, Scope.SITE): deviation_of_field(scatter.grains),
         (Stage.PIXEL_GAIN, Scope.SENSOR): deviation_of_field(scatter.gains),
     }
-    found = []
+    read_noise = []
     if scatter.dark is not None:
         deviations[Stage.ROW_NOISE_AND_HOT_PIXELS, Scope.FRAME] = deviation_of_rows(scatter.dark)
         stderr = setting.stderr.get("read_noise_e", 0.0)
         noise = white_noise(scatter.dark, fit.model.forward.sensor, setting.sensor, stderr)
-        found += name_read_noise(effects, noise, setting.sensor, scales)
+        read_noise = name_read_noise(effects, noise, setting.sensor, scales)
     if search is not None:
         components, jitter = measure_components(search), measure_jitter(search)
+        absent = Fluctuation(Interval.around(0.0, 0.0), 0.0, ("no such component is needed",))
         for name, key in COMPONENTS.items():
-            none = Fluctuation(Interval.around(0.0, 0.0), 0.0, ("no such component is needed",))
-            deviations[key] = deviation_of_fluctuation(components.get(name, none))
+            deviations[key] = deviation_of_fluctuation(components.get(name, absent))
         if jitter is not None:
             deviations[Stage.COORDINATES, Scope.FRAME] = deviation_of_fluctuation(jitter)
-    return (*found, *name_scatter(effects, deviations, scatter.hot_pixels, scales))
+    return (*read_noise, *name_scatter(effects, deviations, scatter.hot_pixels, scales))

@@ -1,4 +1,11 @@
-"""Score tests: the drop of −2 ln L that each starting point of each effect promises, before anything is refitted."""
+"""Score tests of effects: estimate how much each starting point of each effect would lower −2 ln L, without a refit.
+
+A start is an effect with the parameter values from which a fit would begin. Its change is what it adds to the mean and
+variance of the readings. Nuisance parameters are all unknowns of the present fit: the four spot parameters of each
+frame (ln peak, ln σ, x, y), the fitted parameters of sensor and effects, and the coefficients of a free shape. A free
+shape is a light shape whose values at nodes are fitted, in place of the declared shape of the instrument. A candidate
+is a start with its score test. Granular light is a random field in the light that neighbouring pixels share.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,13 +17,13 @@ from spotcheck.discrepancy.evaluation import (
     Column,
     Evaluation,
     change_of_moments,
-    columns_of,
+    differentiate_readings,
     evaluate,
     stages_of,
     subtract_absorbed,
     sum_batches,
 )
-from spotcheck.discrepancy.frames import conditions_of
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, conditions_of
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel
 from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.shape_grid import HALF_WIDTH
@@ -24,21 +31,24 @@ from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep
 from spotcheck.model.stage import Stage
 
-# Multiples of a start's strength at which a fit may begin: the score test extrapolates a straight line. Beside a free
-# shape a fit begins no farther out than the start, since the shape must move along with the effect.
+# Range of the multiple of a start's strength at which a fit begins. It is limited because the score test assumes that
+# the change is proportional to the strength. Beside a free shape it is at most 1: the shape must change with it.
 SIZES, SIZES_BESIDE_SHAPE = (0.3, 30.0), (0.3, 1.0)
-# Least multiple of a start whose effect is no straight line in its strength, such as a clip: about 1 is expected.
+# Least estimated multiple of the change of a start that vanishes at an infinite strength, such as a clip. It is about 1
+# if the effect is present.
 LEAST_FINITE_SIZE = 0.15
-# Part of a column's information that must be left beside the nuisance parameters; else these can do the same.
+# Least part of a change's Fisher information that nuisance parameters must leave; below, they can mimic the change.
 SEPARABLE_SHARE = 1e-5
-# Part of a candidate's information that a free shape leaves, over the part of the candidate that differs between
-# frames, from which on it is a shape finer than the nodes.
+# A candidate is a shape finer than the nodes of the free shape if the part of its information that nuisance parameters
+# leave exceeds the part of its change that differs between frames by this factor.
 UNRESOLVED = 5.0
-# Leading candidates of which the part of a granular field is measured.
+# Leading candidates for which the share of granular light in the variance is measured.
 MOST_FIELD_SHARES = 24
-# Frames that are compared for it; places along each side, and the farthest of them [σ].
-MOST_COMPARED, PLACES, FARTHEST = 16, 61, 7.0
-# Stages that change the spot of a frame as its own parameters do: effects there are laws across frames.
+# Sampling of a change for `varying_share`: most frames; points along each axis, and the largest distance [σ].
+MOST_COMPARED, POINTS, FARTHEST = 16, 61, 7.0
+# Smallest denominator of a ratio of sums that may be 0.
+TINY = 1e-300
+# Stages that change only brightness and width of the spot of a frame, which its spot parameters absorb.
 SPOT_STAGES = {Stage.EXPOSURE, Stage.WIDTH, Stage.BRIGHTNESS}
 
 
@@ -47,65 +57,68 @@ class Candidate:
     """A starting point of an effect and its score test."""
 
     start: AppliedEffect  # where a fit of the effect begins
-    score: float  # expected drop of −2 ln L on the tested pixels beside all nuisance parameters, less 1 for noise
-    place: int  # position among all starting points: variants that tie are taken in this order
-    share: float  # part of the information on its strength that the nuisance parameters leave
-    # Part of the variance that a granular field has, over that information; the mean of the light for minor candidates.
+    score: float  # expected drop of −2 ln L beside all nuisance parameters on the tested pixels, less 1 for noise; ≥ 0
+    place: int  # position among the screened starts, which orders variants that tie
+    share: float  # part of the information on its strength that the nuisance parameters leave, 0 to 1
+    # Part of the readings' variance that is due to granular light, averaged with the information on the strength as
+    # weight. Candidates behind the first `MOST_FIELD_SHARES` have the average over the information on the light.
     field_share: float
 
 
 def changes_mean_image(effect: Effect) -> bool:
-    """Return whether an effect changes the mean image of single frames other than their brightness and width."""
+    """Return whether an effect changes the mean image of a single frame in more than its brightness and width."""
     steps = [step for steps in effect.variants.values() for step in steps]
     is_law = all(step.stage in SPOT_STAGES for step in steps)
     return bool(steps) and not is_law and not all(isinstance(step, RandomStep) for step in steps)
 
 
 def list_starts(effects: Sequence[Effect], scales: EffectScales) -> list[AppliedEffect]:
-    """Return the starting points of all deterministic variants of effects."""
-    starts = []
+    """Return the distinct starting points of all variants of effects that draw no random numbers.
+
+    Values are clipped to the bounds; parameters that a variant does not have are NaN.
+    """
+    # Keys are texts, since NaN is not equal to itself.
+    unique: dict[str, AppliedEffect] = {}
     for effect in effects:
-        bounds = effect.bounds(scales)
+        low, high = effect.bounds(scales).T
         for variant, steps in effect.variants.items():
             if any(isinstance(step, RandomStep) for step in steps):
                 continue
-            has = [parameter in effect.parameters_of(variant) for parameter in effect.parameters]
-            distinct = {tuple(np.where(has, start, np.nan)): None for start in effect.starts(scales)}
-            starts += [
-                AppliedEffect(effect, variant, tuple(np.clip(values, bounds[:, 0], bounds[:, 1])))
-                for values in distinct
-            ]
-    unique: dict[str, AppliedEffect] = {}
-    for start in starts:
-        unique.setdefault(repr((start.effect.name, start.variant, start.values)), start)
+            has_parameter = [parameter in effect.parameters_of(variant) for parameter in effect.parameters]
+            for values in effect.starts(scales):
+                clipped = np.clip(np.where(has_parameter, values, np.nan), low, high)
+                start = AppliedEffect(effect, variant, tuple(clipped))
+                unique.setdefault(repr((effect.name, variant, start.values)), start)
     return list(unique.values())
 
 
 def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Candidate]:
-    """Return the score test of each starting point, the most promising first.
+    """Return the candidates of starting points, the most promising first.
+
+    Starts that nuisance parameters can mimic, or whose estimated strength is impossible, are left out.
 
     Parameters
     ----------
     fit : JointFit
         Present model, fitted to the pixels of the test.
     starts : sequence of AppliedEffect
-        Starting points of absent effects.
+        Starting points of effects that the model does not contain.
 
     Notes
     -----
-    With score U and Fisher information I of the change that a start makes, both beside the nuisance parameters, the
-    expected drop of −2 ln L is U²/I at U/I times the start's strength.
+    A start changes the readings. The amplitude of this change, in units of the start, has the score U and the Fisher
+    information I, both after projection on the nuisance parameters. Its estimate is U/I; −2 ln L then drops by U²/I.
     """
     changes = project_changes(fit, starts)
     candidates = []
     rows = zip(starts, changes.score, changes.information, changes.alone, strict=True)
-    for place, (start, u, i, whole) in enumerate(rows):
-        if not (np.isfinite(u) and i > SEPARABLE_SHARE * whole > 0):
+    for place, (start, score, information, alone) in enumerate(rows):
+        if not (np.isfinite(score) and information > SEPARABLE_SHARE * alone > 0):
             continue
-        scaled = scale_start(start, float(u / i), fit.model)
+        scaled = scale_start(start, float(score / information), fit.model)
         if scaled is not None:
-            score, share = float(max(u * u / i - 1, 0.0)), float(i / whole)
-            candidates.append(Candidate(scaled, score, place, share, fit.pixels.mean_field_share))
+            drop, share = float(max(score * score / information - 1, 0.0)), float(information / alone)
+            candidates.append(Candidate(scaled, drop, place, share, fit.pixels.mean_field_share))
     candidates.sort(key=lambda candidate: -candidate.score)
     if fit.pixels.mean_field_share == 0 or not candidates:
         return candidates
@@ -116,7 +129,10 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
 
 
 def scale_start(start: AppliedEffect, size: float, model: JointModel) -> AppliedEffect | None:
-    """Return a start with its strength multiplied by an estimated size; None if the estimate cannot be the effect."""
+    """Return a start whose strength gives `size` times its change; None if the effect cannot have this size.
+
+    The multiple is limited to `SIZES`. The start of an effect that vanishes at infinity (a clip) stays as it is.
+    """
     effect = start.effect
     strength = effect.parameters[0].name
     value = start.parameters[strength]
@@ -130,119 +146,139 @@ def scale_start(start: AppliedEffect, size: float, model: JointModel) -> Applied
 
 
 def value_is_one_sided(start: AppliedEffect) -> bool:
-    """Return whether the strength of an effect cannot lie on the other side of where it vanishes."""
+    """Return whether the strength of an effect is bounded below by the value at which the effect vanishes."""
     low = start.effect.parameters[0].low
     return not callable(low) and low == start.effect.vanishes_at
 
 
 class ChangeSums:
-    """Sums over the pixels of some frames with changes of their readings, as the normal equations of a fit need them.
+    """Fisher information between changes of the readings and the unknowns of a fit, summed over a batch of frames.
+
+    Unknowns are the four spot parameters of each frame, then the fitted parameters of sensor and effects. The
+    coefficients of a free shape are kept apart.
 
     Parameters
     ----------
     fit : JointFit
-        Fit beside whose unknowns the changes are judged.
-    at : Evaluation
-        Its model at the pixels of the frames.
-    part : slice
-        The frames.
+        Fit that has the unknowns.
+    evaluation : Evaluation
+        Its model at the pixels of the batch.
+    batch : slice
+        Frames of the evaluation.
     count : int
         Number of changes.
+
+    Attributes
+    ----------
+    alone : array [change]
+        Information of each change on itself.
+    cross : array [unknown, change]
+        Information between each unknown and each change.
+    of_shape : array [coefficient, change]
+        Information between each coefficient of the free shape and each change; no rows without a free shape.
     """
 
-    def __init__(self, fit: JointFit, at: Evaluation, part: slice, count: int) -> None:
-        self._at, self._part, self._fitted = at, part, columns_of(fit.model, at)
-        self._shape = None if fit.model.grid is None else ShapeSums(fit.model, at)
-        self._first_fitted = 4 * fit.equations.frames
-        # Information of each change [change], with the unknowns beside a free shape [unknown, change], and with the
-        # coefficients of that [coefficient, change].
+    def __init__(self, fit: JointFit, evaluation: Evaluation, batch: slice, count: int) -> None:
+        self._evaluation, self._batch = evaluation, batch
+        self._fitted_columns = differentiate_readings(fit.model, evaluation)
+        self._shape_sums = None if fit.model.grid is None else ShapeSums(fit.model, evaluation)
+        self._spot_unknowns = SPOT_PARAMETERS * fit.equations.frames
         self.alone = np.zeros(count)
         self.cross = np.zeros((fit.equations.size, count))
-        self.of_shape = np.zeros((0 if self._shape is None else self._shape.nodes**2, count))
+        self.of_shape = np.zeros((0 if self._shape_sums is None else self._shape_sums.nodes**2, count))
 
     def add(self, k: int, change: Column) -> None:
-        """Add change number k."""
-        at, spots = self._at, slice(4 * self._part.start, 4 * self._part.stop)
-        self.alone[k] = at.information_of(change, change)
-        equivalent = at.light_equivalent(change)
-        self.cross[spots, k] = np.einsum("afhw,fhw->fa", at.slopes, equivalent).ravel()
-        self.cross[self._first_fitted :, k] = [at.information_of(change, column) for column in self._fitted]
-        if self._shape is not None:
-            self.of_shape[:, k] = self._shape.products(equivalent[None])[:, 0]
+        """Set the sums of change number k."""
+        evaluation, columns = self._evaluation, self._fitted_columns
+        self.alone[k] = evaluation.information_of(change, change)
+        equivalent = evaluation.light_equivalent(change)
+        batch_spots = slice(SPOT_PARAMETERS * self._batch.start, SPOT_PARAMETERS * self._batch.stop)
+        self.cross[batch_spots, k] = np.einsum("afhw,fhw->fa", evaluation.slopes, equivalent).ravel()
+        self.cross[self._spot_unknowns :, k] = [evaluation.information_of(change, column) for column in columns]
+        if self._shape_sums is not None:
+            self.of_shape[:, k] = self._shape_sums.products(equivalent[None])[:, 0]
 
 
 @dataclass(frozen=True)
 class ProjectedChanges:
-    """Changes by N starts beside the nuisance parameters."""
+    """Score tests of the changes by starts, after projection on the nuisance parameters."""
 
-    score: np.ndarray  # of each change beside them [start]
-    information: np.ndarray  # Fisher information beside them [start]
-    alone: np.ndarray  # information without them [start]
-    absorbed: np.ndarray  # what spots, sensor and fitted effects take of each change [unknown, start]
-    # L⁻¹ times the information between the coefficients of a free shape and each start [coefficient, start], where L L'
-    # is that of the coefficients; None beside the declared shape.
+    score: np.ndarray  # derivative of ln L by the amplitude of each change, after projection [start]
+    information: np.ndarray  # Fisher information on this amplitude, after projection [start]
+    alone: np.ndarray  # Fisher information without nuisance parameters [start]
+    # Steps of the spot parameters, and of the fitted parameters of sensor and effects, that reproduce each change best
+    # [unknown, start].
+    absorbed: np.ndarray
+    # L⁻¹ times the information between the coefficients of a free shape and each change [coefficient, start]; L L' is
+    # the information of the coefficients. None without a free shape.
     half_shape: np.ndarray | None
 
     def select(self, starts: Sequence[int]) -> "ProjectedChanges":
-        """Return the changes by some of the starts."""
-        half = None if self.half_shape is None else self.half_shape[:, starts]
-        parts = (self.score[starts], self.information[starts], self.alone[starts], self.absorbed[:, starts])
-        return ProjectedChanges(*parts, half)
+        """Return the changes of the starts at some positions."""
+        half_shape = None if self.half_shape is None else self.half_shape[:, starts]
+        by_start = (self.score[starts], self.information[starts], self.alone[starts], self.absorbed[:, starts])
+        return ProjectedChanges(*by_start, half_shape)
 
 
 def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> ProjectedChanges:
-    """Return the changes by starts beside the nuisance parameters of a fit."""
+    """Project the changes by starts on the nuisance parameters of a fit, and return their score tests."""
     model, equations = fit.model, fit.equations
 
-    def of_batch(part: slice) -> tuple[np.ndarray, ...]:
-        at = evaluate(model, fit.pixels, part)
-        sums, score = ChangeSums(fit, at, part, len(starts)), np.zeros(len(starts))
+    def sum_batch(batch: slice) -> tuple[np.ndarray, ...]:
+        """Return cross information, score, information alone and information with the shape, of one batch."""
+        evaluation = evaluate(model, fit.pixels, batch)
+        sums, score = ChangeSums(fit, evaluation, batch, len(starts)), np.zeros(len(starts))
         for k, start in enumerate(starts):
-            change = change_by(model, start, at)
-            score[k] = at.score(change)
+            change = change_by(model, start, evaluation)
+            score[k] = evaluation.score(change)
             sums.add(k, change)
         return sums.cross, score, sums.alone, sums.of_shape
 
-    cross, score, alone, of_shape = sum_batches(of_batch, fit.pixels)
-    beside, half = alone.copy(), None
+    cross, score, alone, of_shape = sum_batches(sum_batch, fit.pixels)
+    information, half_shape = alone.copy(), None
     if equations.shape is not None:
-        half = equations.shape.factor.half_solve(of_shape)
-        cross = cross - equations.shape.cross.T @ half
-        score = score - half.T @ equations.shape.score
-        beside -= np.sum(half**2, axis=0)
+        # Eliminate the coefficients of the free shape; `equations` are without them already.
+        half_shape = equations.shape.factor.half_solve(of_shape)
+        cross = cross - equations.shape.cross.T @ half_shape
+        score = score - half_shape.T @ equations.shape.score
+        information -= np.sum(half_shape**2, axis=0)
     absorbed = solve_positive(equations.information, cross)
-    score, information = score - absorbed.T @ equations.gradient, beside - np.sum(cross * absorbed, axis=0)
-    return ProjectedChanges(score, information, alone, absorbed, half)
+    score, information = score - absorbed.T @ equations.gradient, information - np.sum(cross * absorbed, axis=0)
+    return ProjectedChanges(score, information, alone, absorbed, half_shape)
 
 
 def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], changes: ProjectedChanges) -> np.ndarray:
-    """Return the part of the variance that a granular field has, in the mean over the information on each start."""
-    model, equations = fit.model, fit.equations
-    of_shape = None
-    if changes.half_shape is not None and equations.shape is not None:
-        of_shape = equations.shape.factor.back_solve(changes.half_shape - equations.shape.cross @ changes.absorbed)
+    """Return the part of the readings' variance that is due to granular light, as a mean for each start [start].
 
-    def of_batch(part: slice) -> tuple[np.ndarray]:
-        at = evaluate(model, fit.pixels, part)
-        fitted = columns_of(model, at)
-        light = None if of_shape is None else ShapeSums(model, at).values(of_shape)
+    The mean over pixels is weighted with the projected Fisher information of the start's change.
+    """
+    model, equations = fit.model, fit.equations
+    coefficients = None
+    if changes.half_shape is not None and equations.shape is not None:
+        coefficients = equations.shape.factor.back_solve(changes.half_shape - equations.shape.cross @ changes.absorbed)
+
+    def sum_batch(batch: slice) -> tuple[np.ndarray]:
+        """Return the sums of field share × information, and of the information [2, start], of one batch."""
+        evaluation = evaluate(model, fit.pixels, batch)
+        columns = differentiate_readings(model, evaluation)
+        light = [None] * len(starts) if coefficients is None else ShapeSums(model, evaluation).values(coefficients)
         sums = np.zeros((2, len(starts)))
         for k, start in enumerate(starts):
-            change, of_light = change_by(model, start, at), None if light is None else light[k]
-            change = subtract_absorbed(at, part, change, changes.absorbed[:, k], fitted, of_light)
-            information = at.information_per_pixel(change)
-            sums[:, k] = np.sum(at.field_share * information), np.sum(information)
+            change = change_by(model, start, evaluation)
+            change = subtract_absorbed(evaluation, batch, change, changes.absorbed[:, k], columns, light[k])
+            information = evaluation.information_per_pixel(change)
+            sums[:, k] = np.sum(evaluation.field_share * information), np.sum(information)
         return (sums,)
 
-    ((of_field, information),) = sum_batches(of_batch, fit.pixels)
-    return of_field / np.maximum(information, 1e-300)
+    ((weighted_share, information),) = sum_batches(sum_batch, fit.pixels)
+    return weighted_share / np.maximum(information, TINY)
 
 
 def is_unresolved_shape(fit: JointFit, candidate: Candidate) -> bool:
-    """Return whether a candidate is a shape of the light that is finer than the nodes of the free shape beside it.
+    """Return whether a candidate is a shape of the light that is finer than the nodes of the free shape of the fit.
 
-    A free shape with nodes close enough takes every change that is the same in all frames, in units of the spot. If the
-    nodes leave much more of a candidate than differs between frames, they cannot draw it.
+    A free shape absorbs any change that is the same in all frames, in units of peak and σ, if its nodes are close
+    enough. The rest is the part that differs between frames. A much larger rest means that the nodes are too coarse.
     """
     if fit.model.grid is None or stages_of(candidate.start) & SENSOR:
         return False
@@ -250,29 +286,36 @@ def is_unresolved_shape(fit: JointFit, candidate: Candidate) -> bool:
 
 
 def varying_share(fit: JointFit, applied: AppliedEffect) -> float:
-    """Return the part of an effect's change of the light that differs between frames in units of the spot, or lies
-    beyond the nodes of the free shape; by squares in units of the peak, weighted with the peak as photons count."""
+    """Return the part (0 to 1) of an effect's change of the light that no free shape could absorb.
+
+    The change is sampled in units of peak and σ of each frame's spot. A free shape can absorb its mean over frames
+    within `HALF_WIDTH`. The part is the squared rest over the squared change. Frames are weighted with their peak, to
+    which their information is proportional under photon noise.
+    """
     model, pixels = fit.model, fit.pixels
     frames = np.unique(np.linspace(0, len(model.spots.x) - 1, MOST_COMPARED).astype(int))
     spots, compared = model.spots.select(frames), pixels.select(frames)
-    places = np.linspace(-FARTHEST, FARTHEST, PLACES)
+    points = np.linspace(-FARTHEST, FARTHEST, POINTS)
     sigma = np.exp(spots.log_sigma)[:, None]
-    x, y = spots.x[:, None] + sigma * places, spots.y[:, None] + sigma * places
+    x, y = spots.x[:, None] + sigma * points, spots.y[:, None] + sigma * points
     is_inside_x, is_inside_y = (
-        (place > pixel.min(axis=1, keepdims=True)) & (place < pixel.max(axis=1, keepdims=True))
-        for place, pixel in ((x, compared.x[:, 0]), (y, compared.y[:, :, 0]))
+        (point > pixel.min(axis=1, keepdims=True)) & (point < pixel.max(axis=1, keepdims=True))
+        for point, pixel in ((x, compared.x[:, 0]), (y, compared.y[:, :, 0]))
     )
-    sampled = replace(compared, x=x[:, None, :], y=y[:, :, None], row_share=np.ones((len(frames), PLACES, 1)))
+    sampled = replace(compared, x=x[:, None, :], y=y[:, :, None], row_share=np.ones((len(frames), POINTS, 1)))
     conditions = conditions_of(model.design.select(frames), spots, sampled)
     with_effect = replace(model.forward, effects=(*model.forward.effects, applied))
     change = (with_effect.light(conditions).total - model.forward.light(conditions).total) / conditions.peak_dn
     weight = conditions.peak_dn * is_inside_x[:, None, :] * is_inside_y[:, :, None]
-    mean = np.sum(weight * change, axis=0) / np.maximum(np.sum(weight, axis=0), 1e-300)
-    mean[np.hypot(places[:, None], places) > HALF_WIDTH] = 0.0
-    return float(np.sum(weight * (change - mean) ** 2) / max(np.sum(weight * change**2), 1e-300))
+    mean = np.sum(weight * change, axis=0) / np.maximum(np.sum(weight, axis=0), TINY)
+    mean[np.hypot(points[:, None], points) > HALF_WIDTH] = 0.0
+    return float(np.sum(weight * (change - mean) ** 2) / max(np.sum(weight * change**2), TINY))
 
 
-def change_by(model: JointModel, start: AppliedEffect, at: Evaluation) -> Column:
-    """Return the change of mean and variance that an effect makes on top of a model."""
+def change_by(model: JointModel, start: AppliedEffect, evaluation: Evaluation) -> Column:
+    """Return the change of mean [DN] and variance [DN²] of the readings if an effect is added to a model [frame, h, w].
+
+    The evaluation is that of the model.
+    """
     forward = replace(model.forward, effects=(*model.forward.effects, start))
-    return change_of_moments(forward, at, has_same_light=stages_of(start) <= SENSOR)
+    return change_of_moments(forward, evaluation, has_same_light=stages_of(start) <= SENSOR)

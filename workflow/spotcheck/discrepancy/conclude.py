@@ -1,4 +1,11 @@
-"""Findings of an analysis of spot frames: which effects are named, how large they are, and how far the gap closes."""
+"""Findings of an analysis of spot frames: which effects are named, how large they are, and how far the gap closes.
+
+A named effect is one that the verdict reports as present. The gap is the squared residual on held-out frames beyond
+noise; the share of an effect is the part of the gap that it closes. A law is an effect that changes only brightness and
+width of the spots, from frame to frame. p1 and p2 [px] are the parameters of the exposure law of the width,
+σ = laser width + p1 ln t + p2. A free light shape has fitted values at nodes, in place of the declared shape of the
+instrument. Scatter is the random variation of pixels, frames or sites that a random effect may explain.
+"""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -36,25 +43,26 @@ from spotcheck.io import progress
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep, Scope
 from spotcheck.model.stage import Stage
 
+# Data on which the gap is measured, in words.
 HELD_OUT = "held-out repeats"
-# Units of the numbers of a data sheet.
+# Units of the fitted sensor parameters, by field of `SensorModel`.
 SENSOR_UNITS = {"gain_dn_per_e": "DN/e-", "black_level_dn": "DN"}
 
 
 def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[str] = ()) -> Findings:
-    """Return what an analysis of spot frames found.
+    """Return the findings of an analysis of spot frames, with upper limits and advice, which are computed here.
 
     Parameters
     ----------
     analysis : Analysis
-        The analysis.
+        Result of `analyse_frames`.
     effects : sequence of Effect
-        Effects that were looked for.
+        Effects that were searched for.
     remarks : sequence of str
-        What a reader should know of the data.
+        Sentences on the data that the verdict repeats.
     """
     progress.begin_step("measuring what is left and its limits", 0.85, 1.0)
-    prepared, fit = analysis.prepared, analysis.selected.fit
+    prepared, fit, validated = analysis.prepared, analysis.selected.fit, analysis.validated
     black_dn = prepared.setting.sensor.black_level_dn
     sums = sum_residuals(prepared.images)
     detection = test_residuals(prepared.images, black_dn, others=_further_tests(analysis), sums=sums)
@@ -78,9 +86,7 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
         law=measure_law_shift(analysis),
         unexplained=_unexplained(analysis, names, black_dn),
         gap=measure_gap(analysis),
-        metrics=compare_metrics(analysis.validated, prepared.unseen, analysis.named_scatter)
-        if analysis.validated
-        else (),
+        metrics=compare_metrics(validated, prepared.unseen, analysis.named_scatter) if validated else (),
         advice=advise(named, effects, present),
         not_assessed=list_not_assessed(effects, prepared.frames.design, baseline),
         remarks=tuple(remarks),
@@ -88,37 +94,42 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
 
 
 def _further_tests(analysis: Analysis) -> list[ResidualTest]:
-    """Return the tests of what the declared fit was free to take up: the read noise, and laws of the spots."""
+    """Return tests of properties that residuals do not show, since the declared fit adapts to them.
+
+    These are the read noise, the laws of the spots, and the scatter of frames and sites.
+    """
     tests = []
     prepared, setting = analysis.prepared, analysis.prepared.setting
-    declared = measure_scatter(prepared.images, prepared.declared, 0)
-    if declared.dark is not None:
+    dark = measure_scatter(prepared.images, prepared.declared, 0).dark
+    if dark is not None:
         stderr = setting.stderr.get("read_noise_e", 0.0)
-        fitted = prepared.declared.model.forward.sensor
-        noise = white_noise(declared.dark, fitted, setting.sensor, stderr)
+        noise = white_noise(dark, prepared.declared.model.forward.sensor, setting.sensor, stderr)
         tests.append(deviate_test("read noise", "dark pixels", noise.z))
     for law in analysis.laws.laws if analysis.laws else ():
         tests.append(deviate_test("laws of the spots", f"{law.applied.effect.law_of} of the spots", law.z))
-    for scattered in analysis.named_scatter:
-        if not scattered.reasons:
-            tests.append(deviate_test("scatter of frames", "frames and sites", scattered.z))
+    for scatter in analysis.named_scatter:
+        if not scatter.reasons:
+            tests.append(deviate_test("scatter of frames", "frames and sites", scatter.z))
     return tests
 
 
 def _learned_light(analysis: Analysis) -> LearnedLight | None:
-    """Return the learned shape if it stands for itself; None beside the declared shape or named static ones."""
+    """Return the fitted free shape if it is significant and not negligible.
+
+    None if the fit has the declared shape, or if named static shapes explain the free one.
+    """
     fit = analysis.selected.fit
     if fit.model.grid is None or (analysis.shape is not None and analysis.shape.effects):
         return None
     light = describe_light(fit, analysis.prepared.setting.baseline)
-    least = LEARNED_SHAPE.parameters[0].negligible
-    least = least(analysis.prepared.scales) if callable(least) else least
-    is_clear = light.power > CLEAR_ERRORS * light.stderr and light.power > least
+    negligible = LEARNED_SHAPE.parameters[0].negligible
+    least_power = negligible(analysis.prepared.scales) if callable(negligible) else negligible
+    is_clear = light.power > CLEAR_ERRORS * light.stderr and light.power > least_power
     return replace(light, gap_closed=_share(analysis, LIGHT_SHAPE)) if is_clear else None
 
 
 def _pulls(analysis: Analysis) -> tuple[SensorPull, ...]:
-    """Return the fitted numbers of the data sheet."""
+    """Return the fitted values of the parameters whose errors the data sheet states."""
     fit = analysis.selected.fit
     errors = _errors_of(fit, analysis.selected.covariance)
     return tuple(
@@ -136,16 +147,20 @@ def _pulls(analysis: Analysis) -> tuple[SensorPull, ...]:
 
 
 def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) -> Unexplained:
-    """Return what is left beside all that is named."""
+    """Return the residual of the mean image about the final fit, beyond noise and named scatter.
+
+    `names` are the named effects, `black_dn` the black level [DN].
+    """
     scatter = analysis.scatter
-    steps = [step for scattered in analysis.named_scatter if scattered.applied.effect.name in names
-             for step in scattered.applied.effect.variants[scattered.applied.variant]]  # fmt: skip
+    steps = [step for named in analysis.named_scatter if named.applied.effect.name in names
+             for step in named.applied.effect.variants[named.applied.variant]]  # fmt: skip
     stages = {step.stage for step in steps if isinstance(step, RandomStep)}
+    # A granular field in the model is in the weights of the residuals already.
     is_in_model = has_field(analysis.selected.fit.model)
     fields = [scatter.grains] if Stage.SPECKLE_FIELD in stages and not is_in_model else []
     fields += [scatter.gains] if Stage.PIXEL_GAIN in stages else []
-    rows = scatter.dark.row.value if scatter.dark and Stage.ROW_NOISE_AND_HOT_PIXELS in stages else 0.0
-    known = KnownScatter(tuple(fields), max(rows, 0.0))
+    row_variance = scatter.dark.row.value if scatter.dark and Stage.ROW_NOISE_AND_HOT_PIXELS in stages else 0.0
+    known = KnownScatter(tuple(fields), max(row_variance, 0.0))
     closed = analysis.validated.closed if analysis.validated else np.nan
     return replace(
         measure_unexplained(analysis.images, known),
@@ -155,16 +170,19 @@ def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) ->
 
 
 def name_effects(analysis: Analysis, effects: Sequence[Effect]) -> tuple[NamedEffect, ...]:
-    """Return all effects that are named, the one that closes most of the gap first."""
+    """Return all effects that the frames show, the one that closes most of the gap first.
+
+    Effects with an unknown share of the gap come last. `effects` are those that were searched for.
+    """
     named = [*_effects_of_mean(analysis), *_static_shapes(analysis), *_laws(analysis)]
     names = {effect.name for effect in named}
-    named += [_scatter(scattered, analysis, effects) for scattered in analysis.named_scatter
-              if not scattered.reasons and scattered.applied.effect.name not in names]  # fmt: skip
+    named += [_scatter_effect(scatter, analysis, effects) for scatter in analysis.named_scatter
+              if not scatter.reasons and scatter.applied.effect.name not in names]  # fmt: skip
     return tuple(sorted(named, key=lambda effect: -np.nan_to_num(effect.gap_closed, nan=-np.inf)))
 
 
 def measure_gap(analysis: Analysis) -> Gap | None:
-    """Return the gap on held-out frames; None if there are none."""
+    """Return the gap on held-out frames under the declared and the extended model; None without held-out frames."""
     validated = analysis.validated
     if validated is None:
         return None
@@ -182,48 +200,51 @@ def measure_gap(analysis: Analysis) -> Gap | None:
 
 
 def measure_law_shift(analysis: Analysis) -> LawShift:
-    """Return p1 and p2 under the declared and under the extended model; one exposure determines neither."""
+    """Return p1 and p2 [px] under the declared and under the extended model.
+
+    All values are NaN without laws, or with fewer than two exposures, which determine neither.
+    """
     if analysis.search is None or analysis.laws is None or analysis.search.factors["exposure"].shape[1] < 2:
         return LawShift()
     numbers = replace(analysis.search.numbers, spots=analysis.prepared.declared.model.spots)
     declared = analysis.search.with_numbers(numbers).fit([])
-    final = analysis.laws.fit
-    return LawShift(_law_values(declared), _law_values(final), _law_errors(final))
+    extended = analysis.laws.fit
+    return LawShift(_law_values(declared), _law_values(extended), _law_errors(extended))
 
 
 def has_converged(analysis: Analysis) -> bool:
-    """Return whether all fits have converged whose values are reported."""
-    fits = analysis.selected.fit.has_converged
-    return fits and (analysis.laws is None or analysis.laws.fit.has_converged)
+    """Return whether the fits whose values are reported have converged."""
+    laws = analysis.laws
+    return analysis.selected.fit.has_converged and (laws is None or laws.fit.has_converged)
 
 
 def _law_values(fit: LawFit) -> tuple[float, float]:
+    """Return p1 and p2 [px]; NaN if they were not fitted."""
     return (fit.law.p1 if ("", "p1") in fit.names else np.nan, fit.law.p2 if ("", "p2") in fit.names else np.nan)
 
 
 def _law_errors(fit: LawFit) -> tuple[float, float]:
+    """Return the standard errors of p1 and p2 [px]; NaN if they were not fitted."""
     errors: dict[tuple[str, str], float] = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
     return (float(errors.get(("", "p1"), np.nan)), float(errors.get(("", "p2"), np.nan)))
 
 
 def _effects_of_mean(analysis: Analysis) -> Iterator[NamedEffect]:
-    """Yield the effects of the joint fit."""
+    """Yield the effects of the mean image: those of the final joint fit."""
     fit, selected = analysis.selected.fit, analysis.selected
     errors = _errors_of(fit, selected.covariance)
-    scattered = {named.applied.effect.name: named for named in analysis.named_scatter}
+    scatter_by_name = {scatter.applied.effect.name: scatter for scatter in analysis.named_scatter}
     for applied in fit.model.forward.effects:
         name = applied.effect.name
         test = selected.tests[name]
-        values = _values(
-            applied, {parameter: errors.get((name, parameter), np.nan) for parameter in applied.parameters}
-        )
-        # The fit of the mean image knows nothing of the correlation of a field.
-        of_field = scattered[name].intervals if name in scattered else {}
-        for parameter in values.keys() & of_field.keys():
+        effect_errors = {parameter: errors.get((name, parameter), np.nan) for parameter in applied.parameters}
+        values = _values(applied, effect_errors)
+        # Parameters that the mean image does not determine, such as the grain of a field, come from its scatter.
+        intervals = scatter_by_name[name].intervals if name in scatter_by_name else {}
+        for parameter in values.keys() & intervals.keys():
             if (name, parameter) not in errors:
-                values[parameter] = ParameterValue(
-                    of_field[parameter].value, of_field[parameter].stderr, values[parameter].unit
-                )
+                interval = intervals[parameter]
+                values[parameter] = ParameterValue(interval.value, interval.stderr, values[parameter].unit)
         yield NamedEffect(
             applied=applied,
             values=values,
@@ -236,74 +257,81 @@ def _effects_of_mean(analysis: Analysis) -> Iterator[NamedEffect]:
 
 
 def _static_shapes(analysis: Analysis) -> Iterator[NamedEffect]:
-    """Yield the static shapes that a learned light shape is explained by."""
+    """Yield the static shapes that together explain the free light shape; none if the fit has the declared shape."""
     shape = analysis.shape
     if shape is None:
         return
     errors = dict(zip(shape.names, np.sqrt(np.diag(shape.covariance)), strict=True))
-    for number, applied in enumerate(shape.effects):
+    for k, applied in enumerate(shape.effects):
         name, strength = applied.effect.name, applied.effect.parameters[0].name
         stderr = errors.get((name, strength), np.nan)
         distance = abs(applied.values[0] - applied.effect.vanishes_at)
-        of_effect = {parameter: errors.get((name, parameter), np.nan) for parameter in applied.parameters}
+        effect_errors = {parameter: errors.get((name, parameter), np.nan) for parameter in applied.parameters}
         yield NamedEffect(
             applied=applied,
-            values=_values(applied, of_effect),
-            gain=shape.drops[number],
+            values=_values(applied, effect_errors),
+            gain=shape.drops[k],
             z=float(distance / stderr),
-            # What the shape closes is told of the first.
-            gap_closed=_share(analysis, LIGHT_SHAPE) if number == 0 else np.nan,
+            # The share of the gap is known of the whole shape only; the first effect carries it.
+            gap_closed=_share(analysis, LIGHT_SHAPE) if k == 0 else np.nan,
         )
 
 
 def _laws(analysis: Analysis) -> Iterator[NamedEffect]:
-    """Yield the laws of brightness and width."""
+    """Yield the named laws of brightness and width."""
     if analysis.laws is None:
         return
     laws = [law for law in analysis.laws.laws if not law.reasons]
     for law in laws:
-        name = law.applied.effect.name
         yield NamedEffect(
             applied=law.applied,
-            values=_values(law.applied, {key: interval.stderr for key, interval in law.intervals.items()}),
+            values=_values(law.applied, {name: interval.stderr for name, interval in law.intervals.items()}),
             gain=law.gain,
             z=law.z,
             rivals=_rival_laws(law, laws, analysis.laws.rivals),
-            gap_closed=_share(analysis, name),
+            gap_closed=_share(analysis, law.applied.effect.name),
         )
 
 
 def _rival_laws(law: NamedLaw, laws: Sequence[NamedLaw], rivals: Mapping[tuple[str, ...], float]) -> dict[str, float]:
-    """Return the laws that may stand in place of one: those of a rival set that lacks it."""
+    """Return the laws that may replace a law: those of a rival set that lacks it, less the named laws.
+
+    `rivals` has sets of laws by their names, with the excess of χ² over the best set. The result is the least such
+    excess of each law.
+    """
     names = {other.applied.effect.name for other in laws}
-    found: dict[str, float] = {}
-    for others, behind in rivals.items():
-        if law.applied.effect.name not in others:
-            for name in set(others) - names:
-                found[name] = min(behind, found.get(name, np.inf))
-    return found
+    excess_of: dict[str, float] = {}
+    for rival_names, excess in rivals.items():
+        if law.applied.effect.name not in rival_names:
+            for name in set(rival_names) - names:
+                excess_of[name] = min(excess, excess_of.get(name, np.inf))
+    return excess_of
 
 
-def _scatter(scattered: NamedScatter, analysis: Analysis, effects: Sequence[Effect]) -> NamedEffect:
-    """Return an effect that scatters. Where each site has one frame, scatter of frames is scatter of sites."""
-    applied = scattered.applied
+def _scatter_effect(scatter: NamedScatter, analysis: Analysis, effects: Sequence[Effect]) -> NamedEffect:
+    """Return the named effect of a scatter.
+
+    If each site has one frame, scatter of frames cannot be distinguished from scatter of sites: effects of the latter
+    are rivals then.
+    """
+    applied = scatter.applied
     design = analysis.prepared.frames.design
-    rivals = dict.fromkeys(scattered.rivals, 0.0)
+    rivals = dict.fromkeys(scatter.rivals, 0.0)
     if design.sites == len(design.site):
         rivals |= {effect.name: 0.0 for effect in effects if effect is not applied.effect
                   and _scatters_alike(applied, effect)}  # fmt: skip
     return NamedEffect(
         applied=applied,
-        values=_values(applied, {name: interval.stderr for name, interval in scattered.intervals.items()}),
-        gain=float(scattered.z**2),
-        z=scattered.z,
+        values=_values(applied, {name: interval.stderr for name, interval in scatter.intervals.items()}),
+        gain=float(scatter.z**2),
+        z=scatter.z,
         rivals=rivals,
         gap_closed=_share(analysis, applied.effect.name),
     )
 
 
 def _scatters_alike(applied: AppliedEffect, other: Effect) -> bool:
-    """Return whether another effect draws for sites what an effect draws for frames, at a stage of both."""
+    """Return whether an effect draws per frame, and another one per site, at the same stage of the model."""
     stages = {step.stage for step in applied.effect.variants[applied.variant]
               if isinstance(step, RandomStep) and step.scope is Scope.FRAME}  # fmt: skip
     steps = [step for steps in other.variants.values() for step in steps]
@@ -311,17 +339,21 @@ def _scatters_alike(applied: AppliedEffect, other: Effect) -> bool:
 
 
 def _share(analysis: Analysis, name: str) -> float:
+    """Return the part of the gap that an effect closes; NaN without held-out frames."""
     return np.nan if analysis.validated is None else analysis.validated.share_of(name)
 
 
 def _errors_of(fit: JointFit, covariance: np.ndarray) -> dict[tuple[str, str], float]:
-    """Return the standard errors of the fitted parameters by (effect, parameter)."""
+    """Return the standard errors of the fitted parameters by (effect, parameter); the effect is "" for the sensor."""
     errors = np.sqrt(np.diag(covariance)) if covariance.size else np.zeros(0)
     return {(free.effect, free.name): float(error) for free, error in zip(fit.model.free, errors, strict=True)}
 
 
 def _values(applied: AppliedEffect, errors: Mapping[str, float]) -> dict[str, ParameterValue]:
-    """Return the reported parameters of an effect: all but the constants of its variant."""
+    """Return the reported parameters of an effect with their standard errors: all but the constants of its variant.
+
+    Angles are brought to 0 … 360°. Parameters without an error have NaN.
+    """
     values = applied.parameters
     return {
         parameter.name: ParameterValue(

@@ -1,8 +1,13 @@
-"""Whether anything disagrees with a model: residual tests with one p-value, and the size of what is left.
+"""Detection of disagreement with a model: residual tests with one common p-value, and the size of the residual.
 
-Each test has its own null law, in which the spot of each frame and the read noise were fitted. The smallest p-value of
-all tests, corrected for their number, decides. Effects and light shapes that were fitted beside the spots absorb more,
-so that p-values beside them are too large rather than too small.
+The null distribution of each test takes into account that the spot of each frame and the read noise were fitted. The
+smallest p-value of all tests, corrected for their number, decides. It does not take into account that effects or a free
+light shape may have been fitted as well. These absorb more of the residual, so that p-values are then too large rather
+than too small.
+
+A cell is a part of the images, such as a block, a ring or a row, over which residuals are summed. A division of the
+frames (all together, by condition, by angle, one by one) says which frames are summed. A field is a random relative
+variation of the light that several pixels or frames share: granular light, or gains of pixels.
 """
 
 from collections.abc import Sequence
@@ -28,11 +33,11 @@ from spotcheck.discrepancy.places import (
 from spotcheck.discrepancy.residual_sums import CellSums, ResidualSums, standardize, sum_residuals
 from spotcheck.discrepancy.residuals import ResidualImages
 
-# p-values below this are reported as this: never 0.
+# Smallest p-value that is reported, so that none is 0.
 SMALLEST_P = 1e-300
 # Names of the tests of second moments.
 SECOND_MOMENTS = ("noise", "neighbours", "common pattern")
-# Pairs of neighbours without which their correlation is not tested, and what pairs at `residual_sums.LAGS` are called.
+# Fewest pairs of neighbours whose correlation is tested; names of the pairs at each of `residual_sums.LAGS`.
 FEWEST_PAIRS = 1000
 NEIGHBOURS = (
     "neighbours in a row",
@@ -42,11 +47,13 @@ NEIGHBOURS = (
     "pixels two columns apart",
     "pixels two rows apart",
 )
-# Sides of the blocks in which the size of what is left is measured: at most this [px], and at most this part of σ.
-# Blocks further from the spot than `SIZE_RADIUS` [σ] hardly hold light.
+# Largest side of the blocks over which residuals are averaged for their size: in px, and as a part of σ. Blocks farther
+# from the spot than `SIZE_RADIUS` [σ] hold hardly any light and are left out.
 SIZE_BLOCK_PX, SIZE_BLOCK_SIGMA, SIZE_RADIUS = 8, 0.5, 4.0
-# Sites from which on their scatter gives an error.
+# Fewest sites whose scatter gives an error.
 FEWEST_SITES = 4
+# Variance of the overlap of two blocks (a triangle) along an axis, in squared sides: it widens their correlation.
+OVERLAP_VARIANCE = 1 / 6
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,7 @@ class Trial:
 
     p_value: float
     statistic: float  # strongest residual in standard errors
-    where: str  # its place in words
+    where: str  # place of this residual in words
 
 
 def test_residuals(
@@ -65,7 +72,7 @@ def test_residuals(
     others: Sequence[ResidualTest] = (),
     sums: ResidualSums | None = None,
 ) -> Detection:
-    """Return whether residuals disagree with their model.
+    """Test whether residuals disagree with their model.
 
     Parameters
     ----------
@@ -74,8 +81,8 @@ def test_residuals(
     black_level_dn : float
         Black level [DN], from which grey levels are counted.
     scatter : KnownScatter
-        Named scatter that the weights of the images lack. Beside it only means are tested, since it was itself measured
-        from the second moments.
+        Named scatter that the weights of the images do not include. If there is any, only mean residuals are tested,
+        since the scatter was itself measured from the second moments.
     others : sequence of ResidualTest
         Further tests of the same model that count as well, such as of laws of the spots; see `deviate_test`.
     sums : ResidualSums, optional
@@ -84,19 +91,19 @@ def test_residuals(
     Returns
     -------
     Detection
-        Its tests are ordered by their p-values.
+        Common p-value, and all tests with the smallest p-value first.
     """
     sums = sum_residuals(images) if sums is None else sums
-    trials = {cells.kind.name: _try_cells(cells, images, black_level_dn, scatter) for cells in sums.means}
+    trials_by_test = {cells.kind.name: _try_cells(cells, images, black_level_dn, scatter) for cells in sums.means}
     if scatter.is_empty:
-        tried = (
+        second_moments = (
             _try_cells(sums.noise, images, black_level_dn, scatter),
             _try_neighbours(sums.neighbours),
             _try_pattern(sums.pattern),
         )
-        trials |= dict(zip(SECOND_MOMENTS, tried, strict=True))
-    tests = [*(_combine(name, of_test) for name, of_test in trials.items() if of_test), *others]
-    # Among equal p-values, such as the smallest ones, a mean residual says more than a second moment.
+        trials_by_test |= dict(zip(SECOND_MOMENTS, second_moments, strict=True))
+    tests = [*(_combine(name, trials) for name, trials in trials_by_test.items() if trials), *others]
+    # Several p-values may be cut off at SMALLEST_P: a mean residual then tells more than a second moment.
     tests.sort(key=lambda test: (test.p_value, test.name in SECOND_MOMENTS, -abs(test.statistic)))
     p_value = correct_for_number(tests[0].p_value, len(tests)) if tests else 1.0
     return Detection(max(p_value, SMALLEST_P), tuple(tests))
@@ -112,20 +119,23 @@ def deviate_test(name: str, where: str, z: float) -> ResidualTest:
 
 
 def _combine(name: str, trials: Sequence[Trial]) -> ResidualTest:
-    """Return the test of the smallest of several p-values."""
+    """Return the test of the smallest of several p-values, corrected for their number."""
     best = min(trials, key=lambda trial: (trial.p_value, -abs(trial.statistic)))
     p_value = max(correct_for_number(best.p_value, len(trials)), SMALLEST_P)
     return ResidualTest(name, best.where, best.statistic, p_value, float(-special.ndtri(p_value / 2)))
 
 
 def _try_cells(cells: CellSums, images: ResidualImages, black_level_dn: float, scatter: KnownScatter) -> list[Trial]:
-    """Return, for each division of the frames, the p-values of the strongest cell and of the sum of squares."""
+    """Return the trials of cells: for each division of the frames, the strongest cell and the sum of all squares.
+
+    There is no sum of squares with a single cell or with known scatter. Both trials name the strongest cell.
+    """
     trials = []
     for strongest in strongest_cells(cells, images.design, scatter):
         where = describe_cell(cells.kind, strongest.cell, strongest.frames, images, black_level_dn)
         p_value = correct_for_number(two_sided(strongest.z), strongest.count)
         trials.append(Trial(p_value, strongest.z, where))
-        # Known scatter is common to neighbouring cells, whose squares then have no such law.
+        # Known scatter correlates neighbouring cells: the sum of their squares then has another distribution.
         if strongest.count > 1 and scatter.is_empty:
             p_value = _exceedance(strongest.squares, strongest.mean, strongest.variance)
             trials.append(Trial(p_value, strongest.z, where))
@@ -133,7 +143,9 @@ def _try_cells(cells: CellSums, images: ResidualImages, black_level_dn: float, s
 
 
 def _exceedance(total: float, mean: float, variance: float) -> float:
-    """Return the probability that a sum of squares exceeds a total: that of a scaled χ² of the same mean and variance.
+    """Return the probability that a sum of squares of some mean and variance exceeds `total`.
+
+    The sum is taken as a scaled χ² variable of this mean and variance.
 
     References
     ----------
@@ -145,10 +157,13 @@ def _exceedance(total: float, mean: float, variance: float) -> float:
 
 
 def _try_neighbours(sums: np.ndarray) -> list[Trial]:
-    """Return p-values of the correlation of neighbours; sums [lag, dark, 2]."""
+    """Return the trials of the correlation of neighbours; see `ResidualSums.neighbours`.
+
+    sums [lag, region, 2] has the sum of products and the number of pairs; regions are the light and dark pixels.
+    """
     trials = []
-    for name, of_lag in zip(NEIGHBOURS, sums, strict=True):
-        for (total, pairs), region in zip(of_lag, ("in the light of the spot", "in dark pixels"), strict=True):
+    for name, by_region in zip(NEIGHBOURS, sums, strict=True):
+        for (total, pairs), region in zip(by_region, ("in the light of the spot", "in dark pixels"), strict=True):
             if pairs >= FEWEST_PAIRS:
                 z = float(total / np.sqrt(pairs))
                 trials.append(Trial(two_sided(z), z, f"{name}, {region}"))
@@ -156,67 +171,69 @@ def _try_neighbours(sums: np.ndarray) -> list[Trial]:
 
 
 def _try_pattern(sums: np.ndarray) -> list[Trial]:
-    """Return p-values of what the same pixel shows in several frames; sums [scope, weight, 3]."""
+    """Return the trials of a pattern that the same pixels show in several frames; see `ResidualSums.pattern`.
+
+    sums [scope, weight, 3] has sum, variance and third cumulant of products over pairs of frames.
+    """
     trials = []
-    for of_scope, scope in zip(sums, ("in frames of one site", "at different sites"), strict=True):
-        for (total, variance, third), region in zip(of_scope, ("", ", in the light of the spot"), strict=True):
+    for by_weight, scope in zip(sums, ("in frames of one site", "at different sites"), strict=True):
+        for (total, variance, third), region in zip(by_weight, ("", ", in the light of the spot"), strict=True):
             if variance > 0:
                 z = float(to_normal(total / np.sqrt(variance), third / variance**1.5))
                 trials.append(Trial(two_sided(z), z, f"the same pixel {scope}{region}"))
     return trials
 
 
-# Size of what is left
+# Size of the residual of the mean image
 
 
 @dataclass(frozen=True)
 class BlockPower:
     """Squared mean residuals of the blocks of a frame, in parts of the peak; sums over blocks."""
 
-    excess: float  # squares beyond noise and known scatter [peak²]
+    excess: float  # squares less those expected by noise and known scatter [peak²]
     count: int  # number of blocks
-    noise_variance: float  # variance of the squares by noise and known scatter [peak⁴]
-    scatter_variance: float  # the part of known scatter alone in it
-    of_fields: np.ndarray  # derivative of the expected squares by the relative variance of each field [field]
+    noise_variance: float  # variance of the sum of squares by noise and known scatter [peak⁴]
+    scatter_variance: float  # the same by known scatter alone [peak⁴]
+    field_slopes: np.ndarray  # derivative of the expected squares by the relative variance of each field [field, peak²]
 
 
 def measure_rms(images: ResidualImages, scatter: KnownScatter = NO_SCATTER) -> float:
-    """Return the rms of the mean image about the model [peak], noise taken off."""
+    """Return the rms difference of mean image and model [peak], without noise and known scatter."""
     return measure_unexplained(images, scatter).size
 
 
 def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATTER) -> Unexplained:
-    """Return the size of what is left beside a model; `share` and `p_value` are NaN.
+    """Return the size of the difference between the mean image and a model; `share` and `p_value` are NaN.
 
-    Mean residuals of blocks, in parts of each frame's peak, have the power of noise and of what is left. The noise of a
-    block is that of the model and of known scatter, less what the fit of the spot absorbs of it. The error is the
-    larger of that by noise, with the error of the fields' variances, and that by the scatter of sites.
+    Residuals are averaged over blocks and divided by the peak of their frame. From the mean square of the blocks, the
+    part that noise and known scatter explain is subtracted. It allows for what the fit of the spot absorbs. The
+    standard error is the larger of two: that by noise, known scatter and the errors of the fields' variances, and that
+    by the scatter of sites.
 
     Parameters
     ----------
     images : ResidualImages
         Residuals of a fit.
     scatter : KnownScatter
-        Scatter that the weights of the images lack; it is no part of what is left.
+        Scatter that the weights of the images do not include.
     """
     side = int(np.clip(SIZE_BLOCK_SIGMA * np.exp(np.min(images.spots.log_sigma)), 1, SIZE_BLOCK_PX))
     with ThreadPoolExecutor(THREADS) as pool:
-        frames = list(pool.map(partial(_measure_blocks, images, side, scatter), range(len(images.left))))
-    excess, count = np.array([frame.excess for frame in frames]), np.array([frame.count for frame in frames], float)
+        powers = list(pool.map(partial(_measure_blocks, images, side, scatter), range(len(images.left))))
+    excess, count = np.array([power.excess for power in powers]), np.array([power.count for power in powers], float)
     blocks = count.sum()
     if blocks == 0:
         return Unexplained(0.0, np.inf, 0.0, np.nan, np.nan)
     mean = float(excess.sum() / blocks)
     site = np.unique(images.design.site, return_inverse=True)[1]
-    # Grains of a site are the same in all its frames and lie in several blocks: their squares do not average out.
+    # Grains are the same in all frames of a site, and correlate blocks: number of further squares like each square.
     grain_px = max((np.nan_to_num(field.grain_px) for field in scatter.fields), default=0.0)
-    alike = np.bincount(site)[site] * max(1.0, np.pi * (grain_px**2 / side**2 + 1 / 6)) - 1
-    variance = sum(
-        frame.noise_variance + more * frame.scatter_variance for frame, more in zip(frames, alike, strict=True)
-    )
-    of_fields = np.sum([frame.of_fields for frame in frames], axis=0)
+    further_squares = np.bincount(site)[site] * max(1.0, np.pi * (grain_px**2 / side**2 + OVERLAP_VARIANCE)) - 1
+    variance = sum(p.noise_variance + n * p.scatter_variance for p, n in zip(powers, further_squares, strict=True))
+    field_slopes = np.sum([power.field_slopes for power in powers], axis=0)
     field_errors = np.array([np.nan_to_num(field.stderr) for field in scatter.fields])
-    error = float(np.sqrt(variance + np.sum((of_fields * field_errors) ** 2)) / blocks)
+    error = float(np.sqrt(variance + np.sum((field_slopes * field_errors) ** 2)) / blocks)
     sites = site.max() + 1
     if sites >= FEWEST_SITES:
         deviations = np.bincount(site, excess - mean * count)
@@ -225,40 +242,53 @@ def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATT
 
 
 def _measure_blocks(images: ResidualImages, side: int, scatter: KnownScatter, frame: int) -> BlockPower:
-    """Return the power of the blocks of a frame."""
+    """Return the power of the blocks of a frame; blocks have `side` × `side` pixels.
+
+    Columns Q of the spot are orthonormal in units of the noise; a fit of the spot takes Q Q'z off the residuals z. With
+    U = block sums of the columns in DN, and W = block means of the columns over noise, it takes about U W' times the
+    sums of blocks off them.
+    """
     standard = standardize(images, frame)
-    used = standard.offset > 0
-    root = np.sqrt(np.where(used, images.weight[frame], 1.0))
-    rows, columns = (length // side for length in used.shape)
+    is_used = standard.offset > 0
+    root_weight = np.sqrt(np.where(is_used, images.weight[frame], 1.0))
+    rows, columns = (length // side for length in is_used.shape)
 
     def block_sums(values: np.ndarray) -> np.ndarray:
+        """Return the sums [..., block] of values [..., row, column] over whole blocks."""
         cut = values[..., : rows * side, : columns * side]
         blocks = cut.reshape(*values.shape[:-2], rows, side, columns, side).sum(axis=-1, dtype=float).sum(axis=-2)
         return blocks.reshape(*values.shape[:-2], rows * columns)
 
-    absorbed, weighted = block_sums(standard.absorbed / root), block_sums(standard.absorbed * root) / side**2
+    u, w = block_sums(standard.absorbed / root_weight), block_sums(standard.absorbed * root_weight) / side**2
 
-    def remaining(powers: np.ndarray, far_powers: np.ndarray) -> np.ndarray:
-        # The fit changes sums of blocks by −U W': with the powers of far sums, which all correlated blocks share.
-        of_fit = (weighted * far_powers) @ weighted.T
-        return powers - 2 * far_powers * np.sum(absorbed * weighted, axis=0) + np.sum(absorbed * (of_fit @ absorbed), 0)
+    def subtract_fitted(powers: np.ndarray, far_powers: np.ndarray) -> np.ndarray:
+        """Return expected squares of block sums [block, DN²] after the fit of the spot, from those before it.
 
-    squared_light, squared_slope = (block_sums((values / root) ** 2) for values in (standard.relative, standard.offset))
-    of_fields = []
+        `far_powers` are the same for a block in the sum of all blocks, with which it may be correlated.
+        """
+        of_coefficients = (w * far_powers) @ w.T
+        return powers - 2 * far_powers * np.sum(u * w, axis=0) + np.sum(u * (of_coefficients @ u), 0)
+
+    squared_light = block_sums((standard.relative / root_weight) ** 2)
+    squared_slope = block_sums((standard.offset / root_weight) ** 2)
+    # Expected squares by a relative variance of 1 of each field, and by all known scatter [block, DN²].
+    field_powers = []
     for field in scatter.fields:
-        near, far = (correlated_length(field.grain_px, length) ** 2 for length in (side, max(used.shape)))
-        of_fields.append(remaining(near * squared_light, far * squared_light))
-    known = remaining(*2 * (scatter.row_variance * side * squared_slope,))
-    for field, powers in zip(scatter.fields, of_fields, strict=True):
-        known = known + max(field.variance, 0.0) * powers
-    noise = block_sums(used / root**2) - np.sum(absorbed**2, axis=0)
+        near, far = (correlated_length(field.grain_px, length) ** 2 for length in (side, max(is_used.shape)))
+        field_powers.append(subtract_fitted(near * squared_light, far * squared_light))
+    row_power = scatter.row_variance * side * squared_slope
+    known = subtract_fitted(row_power, row_power)
+    for field, power in zip(scatter.fields, field_powers, strict=True):
+        known = known + max(field.variance, 0.0) * power
+    noise = block_sums(is_used / root_weight**2) - np.sum(u**2, axis=0)
     distance = block_sums(np.hypot(standard.u, standard.v)) / side**2
-    good = (block_sums(used) == side**2) & (distance < SIZE_RADIUS)
+    is_counted = (block_sums(is_used) == side**2) & (distance < SIZE_RADIUS)
+    # Square of a block sum [DN²] for a mean residual of one peak.
     unit = (side**2 * float(np.exp(images.spots.log_peak[frame]))) ** 2
     return BlockPower(
-        excess=float(np.sum((block_sums(standard.z / root) ** 2 - noise - known)[good])) / unit,
-        count=int(good.sum()),
-        noise_variance=float(2 * np.sum((noise + known)[good] ** 2)) / unit**2,
-        scatter_variance=float(2 * np.sum(known[good] ** 2)) / unit**2,
-        of_fields=np.array([powers[good].sum() / unit for powers in of_fields]),
+        excess=float(np.sum((block_sums(standard.z / root_weight) ** 2 - noise - known)[is_counted])) / unit,
+        count=int(is_counted.sum()),
+        noise_variance=float(2 * np.sum((noise + known)[is_counted] ** 2)) / unit**2,
+        scatter_variance=float(2 * np.sum(known[is_counted] ** 2)) / unit**2,
+        field_slopes=np.array([power[is_counted].sum() / unit for power in field_powers]),
     )

@@ -1,8 +1,12 @@
 """The model at the pixels of frames, and derivatives of mean and variance of the readings.
 
-A column is the pair of derivatives of mean and variance (dm, dv) of the readings by one unknown. Two columns have the
-Fisher information Σ [dm₁ dm₂/v + dv₁ dv₂/(2 v²)], and a column has the score Σ [dm r/v + dv (r²/v − 1)/(2 v)] with the
-residual r = y − m.
+A reading y [DN] has the mean m [DN] and the variance v [DN²]. A column is the pair (dm, dv) of their derivatives by one
+unknown. Two columns have the Fisher information Σ [dm₁ dm₂/v + dv₁ dv₂/(2 v²)]. A column has the score
+Σ [dm r/v + dv (r²/v − 1)/(2 v)] with the residual r = y − m. Sums are over pixels.
+
+Unknowns of a fit are the four spot parameters of each frame, the fitted parameters of sensor and effects
+(`JointModel.free`), and the coefficients of a free light shape if the model has one. A batch is a slice of the frames;
+h and w are the rows and columns of the pixels that a fit uses in each frame.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spotcheck.discrepancy.frames import Pixels, conditions_of
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Pixels, conditions_of
 from spotcheck.model.conditions import FrameConditions
 from spotcheck.model.effect import AppliedEffect, RandomStep, Step
 from spotcheck.model.forward import SENSOR_STAGES, TABULATED, ForwardModel
@@ -26,37 +30,39 @@ from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMome
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import FreeParameter, JointModel
 
-# Pixels of the frames that are evaluated together: their arrays stay in the cache of a core.
+# Pixels of a batch: few enough that its arrays stay in the cache of a core.
 BATCH_PIXELS = 100_000
-# Steps of forward differences: ln σ [1] and centre [σ]; other parameters in terms of their scale. The score of a step h
-# is that at h/2, which must stay far below a standard error.
+# Steps of forward differences: SPOT_STEP for ln σ [1] and the centre [σ], PARAMETER_STEP for other parameters, relative
+# to their value. A forward difference of step h is the derivative at h/2: h must be far below a standard error.
 SPOT_STEP, PARAMETER_STEP = 1e-6, 1e-5
-# Scale of a parameter near 0 in terms of its range.
+# Least value that a step is relative to, as a part of the parameter's range.
 LEAST_SCALE = 1e-3
-# Smallest variance [DN²] of a reading in the likelihood: one reading in 60 is off by 1. It does not depend on the read
-# noise, which would be fitted to it. Exponent with which the floor fades.
+# Smallest variance [DN²] of a reading in the likelihood: one reading in 60 is off by 1. It is a constant, since a fit
+# would adapt the read noise to a floor that depends on it. FLOOR_EXPONENT is n in `_moments_of`.
 LEAST_VARIANCE, FLOOR_EXPONENT = 0.2 * ROUNDING_VARIANCE, 12
-# Cores that evaluate batches.
+# Threads that evaluate batches.
 THREADS = min(os.cpu_count() or 1, 2)
 # Stages whose effects change readings other than through the light.
 SENSOR = set(SENSOR_STAGES) - {Stage.PIXEL_GAIN}
 
+# Derivatives of mean [DN] and variance [DN²] of the readings by an unknown, or finite changes of them [frame, h, w].
 Column = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The model at the pixels of some frames; arrays [frame, h, w], 0 in weight where a pixel is not used."""
+    """The model at the pixels of a batch of frames; arrays [frame, h, w]. Unused pixels have a weight of 0."""
 
     conditions: FrameConditions  # of the frames
     light: Light  # light of the frames [DN]
     distribution: ReadingDistribution  # of a reading given its light
-    moments: ReadingMoments  # mean [DN] and variance [DN²] of readings and their slopes by the light
+    moments: ReadingMoments  # mean [DN] and variance [DN²] of readings, and derivatives of both by the light
     residual: np.ndarray  # reading less mean [DN]
     weight: np.ndarray  # 1/variance [1/DN²]
     variance_score: np.ndarray  # derivative of ln L by the variance [1/DN²]
-    field_share: np.ndarray  # part of the variance that a granular field has
-    slopes: np.ndarray  # derivatives of the light by ln peak, ln σ, x, y [parameter, frame, h, w]; maybe left out
+    field_share: np.ndarray  # part of the variance that is due to granular light, 0 to 1
+    # Derivatives of the light by the spot parameters [spot parameter, frame, h, w]; none (length 0) if not asked for.
+    slopes: np.ndarray
 
     @property
     def light_score(self) -> np.ndarray:
@@ -71,66 +77,71 @@ class Evaluation:
         return moments.mean_slope**2 * self.weight + (moments.variance_slope * self.weight) ** 2 / 2
 
     def score(self, column: Column) -> float:
-        """Return the score of a column."""
+        """Return the score: the derivative of ln L by the unknown of a column, summed over the pixels."""
         return float(np.sum(self.score_per_pixel(column)))
 
     def information_of(self, first: Column, second: Column) -> float:
-        """Return the Fisher information between two columns."""
+        """Return the Fisher information between the unknowns of two columns, summed over the pixels."""
         means, variances = first[0] * second[0], first[1] * second[1]
         return float(np.sum(means * self.weight + variances * self.weight**2 / 2))
 
     def information_per_pixel(self, column: Column) -> np.ndarray:
-        """Return the Fisher information of each reading on the unknown of a column."""
+        """Return the Fisher information of each reading on the unknown of a column [frame, h, w]."""
         return column[0] ** 2 * self.weight + (column[1] * self.weight) ** 2 / 2
 
     def score_per_pixel(self, column: Column) -> np.ndarray:
-        """Return the score of each reading for a column."""
+        """Return the derivative of each reading's ln L by the unknown of a column [frame, h, w]."""
         return column[0] * self.residual * self.weight + column[1] * self.variance_score
 
     def light_equivalent(self, column: Column) -> np.ndarray:
-        """Return what, times a change of the light, is the information between a column and that change."""
+        """Return the array e [frame, h, w] that relates a column to the light.
+
+        For a derivative d of the light by another unknown, Σ e d is the Fisher information between both unknowns.
+        """
         moments, weight = self.moments, self.weight
         return moments.mean_slope * column[0] * weight + moments.variance_slope * column[1] * weight**2 / 2
 
 
 def subtract_absorbed(
-    at: Evaluation,
-    part: slice,
+    evaluation: Evaluation,
+    batch: slice,
     column: Column,
-    absorbed: np.ndarray,
+    steps: np.ndarray,
     others: Sequence[Column],
-    of_shape: np.ndarray | None,
+    shape_light: np.ndarray | None,
 ) -> Column:
-    """Return a column less what nuisance parameters take of it.
+    """Return a column less the part of it that other unknowns of a fit can produce.
 
     Parameters
     ----------
-    at : Evaluation
-        Model at the pixels of some frames.
-    part : slice
-        The frames.
+    evaluation : Evaluation
+        Model at the pixels of a batch, with the derivatives by spot parameters.
+    batch : slice
+        Frames of the evaluation.
     column : pair of arrays [frame, h, w]
         Derivatives of mean and variance by an unknown, or changes of them.
-    absorbed : array [unknown]
-        Share of each unknown: ln peak, ln σ, x, y of frame after frame, then those of `others`.
+    steps : array [unknown]
+        Step of each unknown that reproduces the column best: four spot parameters of each frame of the fit, then one
+        for each of `others`.
     others : sequence of columns
-        Columns of the unknowns behind the spots.
-    of_shape : array [frame, h, w] or None
-        What a free shape takes [DN of light]; None beside the declared one.
+        Columns of the fitted parameters of sensor and effects.
+    shape_light : array [frame, h, w] or None
+        Light [DN] by which a free light shape reproduces the column; None without a free shape.
     """
-    of_spots = absorbed[4 * part.start : 4 * part.stop].reshape(-1, 4)
-    light = np.einsum("fa,afhw->fhw", of_spots, at.slopes, optimize=True)
-    light = light if of_shape is None else light + of_shape
-    mean, variance = column
-    mean, variance = mean - at.moments.mean_slope * light, variance - at.moments.variance_slope * light
-    for share, (other_mean, other_variance) in zip(absorbed[len(absorbed) - len(others) :], others, strict=True):
-        if share:
-            mean, variance = mean - share * other_mean, variance - share * other_variance
+    first, last = SPOT_PARAMETERS * batch.start, SPOT_PARAMETERS * batch.stop
+    spot_steps = steps[first:last].reshape(-1, SPOT_PARAMETERS)
+    light = np.einsum("fa,afhw->fhw", spot_steps, evaluation.slopes, optimize=True)
+    light = light if shape_light is None else light + shape_light
+    moments, (mean, variance) = evaluation.moments, column
+    mean, variance = mean - moments.mean_slope * light, variance - moments.variance_slope * light
+    for step, (other_mean, other_variance) in zip(steps[len(steps) - len(others) :], others, strict=True):
+        if step:
+            mean, variance = mean - step * other_mean, variance - step * other_variance
     return mean, variance
 
 
-def batches(pixels: Pixels) -> Iterator[slice]:
-    """Yield parts of the frames whose pixels are evaluated together."""
+def split_into_batches(pixels: Pixels) -> Iterator[slice]:
+    """Yield slices of the frames with about `BATCH_PIXELS` pixels each, at least one frame."""
     frames, rows, columns = pixels.readings.shape
     size = max(BATCH_PIXELS // (rows * columns), 1)
     for start in range(0, frames, size):
@@ -138,35 +149,49 @@ def batches(pixels: Pixels) -> Iterator[slice]:
 
 
 def map_batches(function: Callable[[slice], Any], pixels: Pixels) -> list[Any]:
-    """Return the results of a function of each batch of frames."""
-    return list(_results_of_batches(function, pixels))
+    """Call a function with each batch of frames, in threads; return the results in the order of the frames."""
+    return list(_run_batches(function, pixels))
 
 
-def _results_of_batches(function: Callable[[slice], Any], pixels: Pixels) -> Iterator[Any]:
-    """Yield the results of a function of each batch of frames, computed in threads."""
-    parts = list(batches(pixels))
-    if len(parts) == 1 or THREADS == 1:
-        yield from map(function, parts)
+def _run_batches(function: Callable[[slice], Any], pixels: Pixels) -> Iterator[Any]:
+    """Yield the results of a function of each batch of frames, in their order; computed in threads."""
+    batches = list(split_into_batches(pixels))
+    if len(batches) == 1 or THREADS == 1:
+        yield from map(function, batches)
         return
     with ThreadPoolExecutor(THREADS) as pool:
-        yield from pool.map(function, parts)
+        yield from pool.map(function, batches)
 
 
 def sum_batches(function: Callable[[slice], tuple[Any, ...]], pixels: Pixels) -> tuple[Any, ...]:
-    """Return the sums over batches of frames of the numbers and arrays that a function returns."""
-    results = _results_of_batches(function, pixels)
-    total = list(next(results))
-    for parts in results:
-        for k, part in enumerate(parts):
-            total[k] += part
-    return tuple(total)
+    """Call a function with each batch of frames, and return the sum over batches of each number or array it returns.
+
+    Arrays of the first result are overwritten by the sums.
+    """
+    results = _run_batches(function, pixels)
+    sums = list(next(results))
+    for terms in results:
+        for k, term in enumerate(terms):
+            sums[k] += term
+    return tuple(sums)
 
 
-def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool = True) -> Evaluation:
-    """Return the model at the pixels of some frames."""
-    spots, design, selected = model.spots.select(part), model.design.select(part), pixels.select(part)
-    conditions = conditions_of(design, spots, selected)
-    forward = model.forward
+def evaluate(model: JointModel, pixels: Pixels, batch: slice, with_slopes: bool = True) -> Evaluation:
+    """Evaluate a model at the pixels of a batch of frames.
+
+    Parameters
+    ----------
+    model : JointModel
+        Model of all frames.
+    pixels : Pixels
+        Pixels of all frames.
+    batch : slice
+        Frames to evaluate.
+    with_slopes : bool
+        Whether derivatives of the light by the spot parameters are needed (`Evaluation.slopes`).
+    """
+    spots, design, selected = model.spots.select(batch), model.design.select(batch), pixels.select(batch)
+    conditions, forward = conditions_of(design, spots, selected), model.forward
     light = forward.light(conditions)
     distribution, moments = _moments_of(forward, conditions, light)
     variance = moments.variance + selected.extra_variance
@@ -182,93 +207,107 @@ def evaluate(model: JointModel, pixels: Pixels, part: slice, with_slopes: bool =
 def _moments_of(
     forward: ForwardModel, conditions: FrameConditions, light: Light
 ) -> tuple[ReadingDistribution, ReadingMoments]:
-    """Return the distribution of readings given their light, and their moments.
+    """Return the distribution of readings given their light, and their moments [frame, h, w].
 
-    The variance v stays above its floor f as (vⁿ + fⁿ)^(1/n): smoothly, since fits stall at a kink. Moments are
-    interpolated between the two values of a rounded parameter next to it, so that −2 ln L has a slope in it.
+    The variance v is kept above the floor f = `LEAST_VARIANCE` as (vⁿ + fⁿ)^(1/n): smoothly, since fits stall at a
+    kink. If readings follow a parameter in whole steps only, moments are interpolated between both neighbouring whole
+    values. Otherwise −2 ln L would be a staircase in this parameter. The distribution is then that of the upper value.
     """
-    parts = []
-    for weight, other in _rounded_neighbours(forward):
-        inputs = other.sensor_input(conditions, light=light)
-        parts.append((weight, other.moments(inputs)))
-    moments = parts[0][1]
-    if len(parts) > 1:
-        (low, below), (high, above) = parts
-        mixed = [low * first + high * second for first, second in zip(below, above, strict=True)]
-        mixed[1] = mixed[1] + low * high * (above.mean - below.mean) ** 2
-        moments = ReadingMoments(*mixed)
+    neighbours = []
+    for weight, neighbour in _rounded_neighbours(forward):
+        inputs = neighbour.sensor_input(conditions, light=light)
+        neighbours.append((weight, neighbour.moments(inputs)))
+    moments = neighbours[0][1]
+    if len(neighbours) > 1:
+        (low_weight, below), (high_weight, above) = neighbours
+        mixture = [low_weight * first + high_weight * second for first, second in zip(below, above, strict=True)]
+        # A mixture of two distributions also has the variance of their means.
+        mixture[1] = mixture[1] + low_weight * high_weight * (above.mean - below.mean) ** 2
+        moments = ReadingMoments(*mixture)
     n = FLOOR_EXPONENT
     variance = LEAST_VARIANCE * ((moments.variance / LEAST_VARIANCE) ** n + 1) ** (1 / n)
     slope = moments.variance_slope * (moments.variance / variance) ** (n - 1)
-    moments = moments._replace(variance=variance, variance_slope=slope)
-    return inputs.distribution, moments
+    return inputs.distribution, moments._replace(variance=variance, variance_slope=slope)
 
 
 def _rounded_neighbours(forward: ForwardModel) -> list[tuple[float, ForwardModel]]:
-    """Return models with the values of a rounded parameter below and above it, with weights; or the model alone."""
+    """Return (weight, model) with the rounded parameter at the whole reading below, and at the one above it.
+
+    The weights sum to 1 and interpolate linearly. A model without a rounded parameter is returned alone, with weight 1.
+    """
     for applied in forward.effects:
         name = rounded_parameter(applied)
         if name:
-            reading = forward.sensor.black_level_dn + applied.parameters[name]
+            black_level_dn = forward.sensor.black_level_dn
+            reading = black_level_dn + applied.parameters[name]
             models = []
             for whole in (np.floor(reading), np.floor(reading) + 1):
-                moved = applied.with_value(name, float(whole - forward.sensor.black_level_dn))
-                effects = tuple(moved if other is applied else other for other in forward.effects)
+                rounded = applied.with_value(name, float(whole - black_level_dn))
+                effects = tuple(rounded if other is applied else other for other in forward.effects)
                 models.append((float(1 - abs(reading - whole)), replace(forward, effects=effects)))
             return models
     return [(1.0, forward)]
 
 
 def rounded_parameter(applied: AppliedEffect) -> str:
-    """Return the parameter of an effect that readings follow in whole steps only; "" if there is none."""
+    """Return the name of the parameter [DN] that readings follow in whole steps only; "" if there is none."""
     steps = applied.effect.variants[applied.variant]
     return next((step.rounded for step in steps if isinstance(step, Step) and step.rounded), "")
 
 
 def _spot_slopes(forward: ForwardModel, conditions: FrameConditions, spot: np.ndarray) -> np.ndarray:
-    """Return the derivatives of the light by ln peak, ln σ, x and y [parameter, frame, h, w]."""
-    step = SPOT_STEP * conditions.sigma_px
-    moved = (
-        replace(conditions, sigma_px=conditions.sigma_px * (1 + SPOT_STEP)),
-        replace(conditions, x0=conditions.x0 + step),
-        replace(conditions, y0=conditions.y0 + step),
+    """Return the derivatives of the light by the spot parameters [spot parameter, frame, h, w].
+
+    `spot` is the light of the spot [frame, h, w], which is also its derivative by ln peak.
+    """
+    centre_step = SPOT_STEP * conditions.sigma_px
+    displaced = (
+        (replace(conditions, sigma_px=conditions.sigma_px * (1 + SPOT_STEP)), SPOT_STEP),
+        (replace(conditions, x0=conditions.x0 + centre_step), centre_step),
+        (replace(conditions, y0=conditions.y0 + centre_step), centre_step),
     )
-    sizes = (SPOT_STEP, step, step)
-    slopes = [(forward.light(other).spot - spot) / size for other, size in zip(moved, sizes, strict=True)]
-    return np.stack([spot, *slopes])
+    return np.stack([spot, *((forward.light(other).spot - spot) / step for other, step in displaced)])
 
 
-def columns_of(model: JointModel, at: Evaluation) -> list[Column]:
-    """Return the column of each fitted parameter of sensor and effects."""
-    return [_column(model, parameter, at) for parameter in model.free]
+def differentiate_readings(model: JointModel, evaluation: Evaluation) -> list[Column]:
+    """Return the column of each fitted parameter of sensor and effects, in the order of `model.free`."""
+    return [_differentiate(model, parameter, evaluation) for parameter in model.free]
 
 
-def _column(model: JointModel, parameter: FreeParameter, at: Evaluation) -> Column:
+def _differentiate(model: JointModel, parameter: FreeParameter, evaluation: Evaluation) -> Column:
+    """Return the column of one fitted parameter, by a forward difference."""
     value, step = model.value_of(parameter), difference_step(model, parameter)
     moved = model.with_value(parameter, value + step).forward
+    # Any parameter of the sensor acts behind the light, as the read noise does.
     stages = stages_of(model.effect_named(parameter.effect)) if parameter.effect else {Stage.READ_NOISE}
     if not stages & SENSOR:
-        slope = (moved.light(at.conditions).total - at.light.total) / step
-        return at.moments.mean_slope * slope, at.moments.variance_slope * slope
-    mean, variance = change_of_moments(moved, at, has_same_light=stages <= SENSOR)
+        light_slope = (moved.light(evaluation.conditions).total - evaluation.light.total) / step
+        return evaluation.moments.mean_slope * light_slope, evaluation.moments.variance_slope * light_slope
+    mean, variance = change_of_moments(moved, evaluation, has_same_light=stages <= SENSOR)
     return mean / step, variance / step
 
 
-def change_of_moments(forward: ForwardModel, at: Evaluation, has_same_light: bool) -> Column:
-    """Return mean and variance of another model less those of an evaluation."""
-    light = at.light if has_same_light else forward.light(at.conditions)
-    _, moments = _moments_of(forward, at.conditions, light)
-    return moments.mean - at.moments.mean, moments.variance - at.moments.variance
+def change_of_moments(forward: ForwardModel, evaluation: Evaluation, has_same_light: bool) -> Column:
+    """Return mean [DN] and variance [DN²] of the readings of another model less those of an evaluation [frame, h, w].
+
+    `has_same_light`: the other model has the light of the evaluation, which is then not computed again.
+    """
+    light = evaluation.light if has_same_light else forward.light(evaluation.conditions)
+    _, moments = _moments_of(forward, evaluation.conditions, light)
+    return moments.mean - evaluation.moments.mean, moments.variance - evaluation.moments.variance
 
 
 def stages_of(applied: AppliedEffect) -> set[Stage]:
-    """Return the stages at which an effect acts; granular light that pixels draw acts on tables, as the well does."""
+    """Return the stages at which an effect changes the moments of readings.
+
+    A random light of single pixels counts as `Stage.WELL`: its draw is averaged in the table of the sensor's response.
+    """
     steps = applied.effect.variants[applied.variant]
     return {Stage.WELL if isinstance(step, RandomStep) and step.stage in TABULATED else step.stage for step in steps}
 
 
 def difference_step(model: JointModel, parameter: FreeParameter) -> float:
-    """Return the step of forward differences in a parameter; it points inwards at a bound."""
+    """Return the step of forward differences in a parameter, in its unit; negative at the upper bound."""
     value = model.value_of(parameter)
     width = parameter.high - parameter.low
     step = PARAMETER_STEP * max(abs(value), LEAST_SCALE * width if np.isfinite(width) else 1.0)

@@ -1,4 +1,12 @@
-"""Tests of fitted effects: gain, robust Wald test and consistency over the spot, and the covariance they rest on."""
+"""Tests of fitted effects: gain, robust Wald test and consistency over the spot, and the covariance they rest on.
+
+Unknowns of a fit are the four spot parameters of each frame (ln peak, ln σ, x, y), then the fitted parameters of sensor
+and effects. The coefficients of a free light shape, if there is one, have been eliminated. Targets are the unknowns
+under test; all others are nuisance parameters. Granular light is a random field in the light that neighbouring pixels
+share. The dispersion is the factor by which it increases the variance of a score. Frames of a condition have the same
+exposure and settings. Frames of a site have the same angle, settings and repeat, so that they share one granular field.
+A batch is a slice of the frames.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,31 +16,39 @@ import numpy as np
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_AT_ONE_SITE
 from spotcheck.discrepancy.evaluation import (
     Evaluation,
-    columns_of,
+    differentiate_readings,
     evaluate,
     map_batches,
     rounded_parameter,
     subtract_absorbed,
 )
-from spotcheck.discrepancy.frames import Design, Pixels, thin_pixels
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.normal_equations import assemble, invert_information, solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.sensor import ROUNDING_VARIANCE
 
-# Sites from which on the scores of a site and sector are the clusters of the covariance; with fewer, blocks of pixels.
+# Fewest sites for which a cluster of the covariance is a sector of a site; with fewer, it is a block of a frame with
+# sides of BLOCK_PX.
 MANY_SITES, BLOCK_PX = 8, 16
-# Sectors of the spot, and the radius [σ] that divides its information into two rings of about the same.
+# Sectors of the spot, and the radius [σ] that divides its information into two rings with about as much of it each.
 SECTORS, RING_RADIUS = 8, 1.2
-# Part of the information below which a cell of the consistency test is left out.
+# Factors by which cluster labels keep the coordinates of pixels and the frames apart; sensors are smaller [px].
+ROW_FACTOR, FRAME_FACTOR, ROW_FRAME_FACTOR = 10_000, 10**8, 10**6
+# Least part of the information that a cell of the consistency test must have to count.
 LEAST_CELL_SHARE = 1e-4
-# Wald z² beyond which the gain is not measured by a fit without the effect, and gain beyond which that of thinned
-# pixels, known to some 10 %, leaves no doubt.
+# Wald z² above which no fit without the effect is made. It is also the gain above which a fit to thinned pixels is
+# enough, although it knows the gain to 10 % only.
 CERTAIN = 1e4
-# Effort of a fit without an effect: its drop must be known to about 1.
+# Effort of a fit without an effect: its −2 ln L must be known to about 1.
 WITHOUT_TOLERANCE, WITHOUT_ITERATIONS = 0.3, 12
+# Added to the badness of an effect without evidence: more than any inconsistency.
+NO_EVIDENCE = 1e3
+# Smallest denominator of a ratio that may be 0.
+TINY = 1e-300
 
+# Function that returns the cluster of each pixel: integers that broadcast to [frame, h, w] (model, evaluation, batch).
 Labels = Callable[[JointModel, Evaluation, slice], np.ndarray]
 
 
@@ -40,14 +56,15 @@ Labels = Callable[[JointModel, Evaluation, slice], np.ndarray]
 class EffectTest:
     """Evidence for one fitted effect."""
 
-    # Drop of −2 ln L by the effect over its dispersion, maybe scaled from thinned pixels; Wald's z² if above `CERTAIN`.
+    # Drop of −2 ln L by the effect over its dispersion, possibly extrapolated from thinned pixels; the Wald z² if that
+    # is above `CERTAIN`.
     gain: float
     wald: float  # z² of the effect's strength under the cluster-robust covariance
     heterogeneity: float  # Cochran's Q of the strength over cells of the spot
     cells: int  # number of cells
     limit: float  # largest Q of a consistent effect
-    is_negligible: bool  # whether a user would call the strength nothing
-    least_gain: float = MIN_GAIN  # drop that the model asks for
+    is_negligible: bool  # whether the strength is too small to matter to a user
+    least_gain: float = MIN_GAIN  # least gain of an effect in this model
 
     @property
     def passes(self) -> bool:
@@ -56,18 +73,18 @@ class EffectTest:
 
     @property
     def has_evidence(self) -> bool:
-        """Whether likelihood and robust Wald test both speak for the effect."""
+        """Whether the effect is significant by its gain and by the robust Wald test."""
         return self.gain >= self.least_gain and self.wald >= MIN_GAIN
 
     @property
     def badness(self) -> float:
-        """The effect with the largest badness is removed first: those without evidence before inconsistent ones."""
-        return self.heterogeneity / self.limit + (0.0 if self.has_evidence else 1e3)
+        """Rank for removal: the largest goes first, so that effects without evidence precede inconsistent ones."""
+        return self.heterogeneity / self.limit + (0.0 if self.has_evidence else NO_EVIDENCE)
 
 
 @dataclass(frozen=True)
 class CellComparison:
-    """Cochran's Q of an effect's strength over cells of the data, without a verdict on it."""
+    """Cochran's Q of an effect's strength over cells of the spot, before a decision on it."""
 
     q: float  # Cochran's Q
     count: int  # number of cells
@@ -81,21 +98,22 @@ class CellComparison:
 
 @dataclass(frozen=True)
 class ClusterSums:
-    """Sums over the pixels of each cluster for some unknowns [cluster, target]."""
+    """Sums over the pixels of each cluster [cluster, target], after projection on the nuisance parameters."""
 
-    score: np.ndarray  # derivative of ln L by the unknowns, beside all others
-    information: np.ndarray  # Fisher information on them
-    field_information: np.ndarray  # the same, times the part of the variance that a granular field has
+    score: np.ndarray  # derivative of ln L by each target
+    information: np.ndarray  # Fisher information on each target
+    field_information: np.ndarray  # the same with each pixel times the part of its variance due to granular light
 
 
 def estimate_covariance(fit: JointFit) -> np.ndarray:
-    """Return the covariance [free, free] of the fitted parameters of sensor and effects.
+    """Return the cluster-robust covariance of the fitted parameters of sensor and effects [fitted, fitted].
 
-    It is robust against misfit that is common to a cluster of pixels: with the information I of the parameters beside
-    the spots, and the score G_c that the pixels of a cluster c give, the sandwich is I⁻¹ (Σ_c G_c G_c') I⁻¹. Clusters
-    are sectors of a site (its frames may share a field), cells of the spot (a misfit of the shape is common to all
-    sites), and rows of a frame. The standard error of each parameter is the largest of these and of the model-based
-    one; correlations are those of the first division. The variance of a parameter without information is infinite.
+    It allows for misfit that is common to a cluster of pixels. I is the information on the parameters beside the spots,
+    and G_c the score of the pixels of cluster c. The sandwich estimate is I⁻¹ (Σ_c G_c G_c') I⁻¹. It is made for three
+    divisions into clusters: sectors of a site, since its frames may share a field; cells of the spot, since all sites
+    share a misfit of the shape; and rows of a frame. The standard error of each parameter is the largest of these and
+    of the model-based one. Correlations are those of the first division. The variance of a parameter without
+    information is infinite.
 
     References
     ----------
@@ -104,23 +122,24 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
     count = len(fit.model.free)
     if count == 0:
         return np.zeros((0, 0))
-    targets = np.arange(count) + 4 * fit.equations.frames
+    targets = np.arange(count) + SPOT_PARAMETERS * fit.equations.frames
     information = information_beside(fit, targets)
     model_based = invert_information(information)
-    estimates = []
+    sandwiches = []
     for sums in sum_by_clusters(fit, targets, (label_sites, label_cells, label_rows)):
         scores = sums.score - sums.score.mean(axis=0)
-        factor = len(scores) / max(len(scores) - 1, 1)
-        estimates.append(model_based @ (scores.T @ scores * factor) @ model_based)
-    largest = np.max([np.diag(estimate) for estimate in (*estimates, model_based)], axis=0)
-    inflation = np.sqrt(largest / np.maximum(np.diag(estimates[0]), 1e-300))
-    covariance = estimates[0] * inflation[:, None] * inflation
-    # The pseudo-inverse would give a variance of 0 to parameters that the pixels say nothing about, such as the
+        small_sample_factor = len(scores) / max(len(scores) - 1, 1)
+        sandwiches.append(model_based @ (scores.T @ scores * small_sample_factor) @ model_based)
+    largest = np.max([np.diag(estimate) for estimate in (*sandwiches, model_based)], axis=0)
+    inflation = np.sqrt(largest / np.maximum(np.diag(sandwiches[0]), TINY))
+    covariance = sandwiches[0] * inflation[:, None] * inflation
+    # The pseudo-inverse would give a variance of 0 to parameters on which the pixels carry no information, such as the
     # brightness of a ghost outside the crops.
-    unknown = np.diag(information) <= 0
-    covariance[unknown], covariance[:, unknown] = 0.0, 0.0
-    covariance[unknown, unknown] = np.inf
+    is_unknown = np.diag(information) <= 0
+    covariance[is_unknown], covariance[:, is_unknown] = 0.0, 0.0
+    covariance[is_unknown, is_unknown] = np.inf
     for k, parameter in enumerate(fit.model.free):
+        # Readings follow such a parameter in whole steps: within a step its value is not known.
         if parameter.effect and rounded_parameter(fit.model.effect_named(parameter.effect)) == parameter.name:
             covariance[k, k] += ROUNDING_VARIANCE
     return covariance
@@ -129,10 +148,25 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
 def assess_effect(
     fit: JointFit, name: str, covariance: np.ndarray, scales: EffectScales, known_gain: float | None = None
 ) -> EffectTest:
-    """Test one effect of a fit; `known_gain` is the drop of −2 ln L by it if a fit without it exists."""
+    """Test one effect of a fit.
+
+    Parameters
+    ----------
+    fit : JointFit
+        Fit with the effect.
+    name : str
+        Name of the effect.
+    covariance : array [fitted, fitted]
+        Result of `estimate_covariance`.
+    scales : EffectScales
+        Typical sizes of the dataset, on which the negligible strength of an effect depends.
+    known_gain : float, optional
+        Drop of −2 ln L by the effect, if a fit without it exists.
+    """
     applied, position = fit.model.effect_named(name), position_of_strength(fit.model, name)
     distance = distance_from_nothing(applied)
-    variance = max(covariance[position, position], 1e-300)
+    variance = max(covariance[position, position], TINY)
+    # An effect that vanishes at infinity has no finite z; its gain alone decides, unless the strength is unknown.
     wald = distance**2 / variance if np.isfinite(distance) else (np.inf if np.isfinite(variance) else 0.0)
     cells = compare_cells(fit, name)
     gain = measure_gain(fit, name, wald, cells.dispersion) if known_gain is None else known_gain
@@ -141,146 +175,165 @@ def assess_effect(
 
 
 def position_of_strength(model: JointModel, name: str) -> int:
-    """Return the position of an effect's strength among the fitted parameters of sensor and effects."""
+    """Return the position of an effect's strength (its first parameter) among the fitted parameters `model.free`."""
     strength = model.effect_named(name).effect.parameters[0].name
     return next(k for k, p in enumerate(model.free) if (p.effect, p.name) == (name, strength))
 
 
 def compare_cells(fit: JointFit, name: str) -> CellComparison:
-    """Compare what the cells of the data say of the strength of an effect of a fit.
+    """Compare the strengths of a fitted effect between the cells of the spot; see `label_cells`.
 
-    The model-based information is used, so that misfit common to all cells is no reason against an effect.
+    The errors are model-based: the cluster-robust ones would include the misfit that all cells share.
     """
-    target = 4 * fit.equations.frames + position_of_strength(fit.model, name)
+    target = SPOT_PARAMETERS * fit.equations.frames + position_of_strength(fit.model, name)
     (sums,) = sum_by_clusters(fit, np.array([target]), (label_cells,))
-    score, information, of_field = sums.score[:, 0], sums.information[:, 0], sums.field_information[:, 0]
-    of_effect = fit.pixels.dispersion_of(of_field.sum() / max(information.sum(), 1e-300))
-    used = information > LEAST_CELL_SHARE * information.sum()
-    # A granular field widens the score of a cell. Over its dispersion the score has the variance `known`.
-    dispersion = fit.pixels.dispersion_of(of_field[used] / information[used])
-    score, known = score[used] / dispersion, information[used] / dispersion
-    q = float(np.sum(score**2 / known) - score.sum() ** 2 / max(known.sum(), 1e-300))
-    return CellComparison(q, int(used.sum()), float(of_effect))
+    score, information, field_information = sums.score[:, 0], sums.information[:, 0], sums.field_information[:, 0]
+    effect_dispersion = fit.pixels.dispersion_of(field_information.sum() / max(information.sum(), TINY))
+    is_used = information > LEAST_CELL_SHARE * information.sum()
+    # The score of a cell has the variance dispersion × information: divided by the dispersion, information/dispersion.
+    dispersion = fit.pixels.dispersion_of(field_information[is_used] / information[is_used])
+    score, information = score[is_used] / dispersion, information[is_used] / dispersion
+    q = float(np.sum(score**2 / information) - score.sum() ** 2 / max(information.sum(), TINY))
+    return CellComparison(q, int(is_used.sum()), float(effect_dispersion))
 
 
 def least_gain(model: JointModel) -> float:
-    """Return the drop of −2 ln L that a name needs."""
+    """Return the least drop of −2 ln L with which an effect of a model is reported."""
     is_alone = model.grid is not None and model.design.sites == 1
     return MIN_GAIN_AT_ONE_SITE if is_alone else MIN_GAIN
 
 
 def measure_gain(fit: JointFit, name: str, wald: float, dispersion: float) -> float:
-    """Return the drop of −2 ln L by an effect over its dispersion: `wald`, or that of thinned pixels, if it leaves no
-    doubt; else that of all pixels."""
+    """Return the drop of −2 ln L by an effect, over its dispersion.
+
+    It takes a refit without the effect, unless `wald` (z²) is a certain substitute. The refit is made to thinned pixels
+    where their result cannot change the decision, and to all pixels otherwise.
+    """
     if CERTAIN < wald < np.inf:
         return wald
     without = fit.model.without_effect(name)
 
     def gain_on(pixels: Pixels, deviance: float) -> float:
+        """Return the gain extrapolated from some pixels, at which the model with the effect has −2 ln L `deviance`."""
         refit = fit_jointly(without, pixels, tolerance=WITHOUT_TOLERANCE, iterations=WITHOUT_ITERATIONS)
         return (refit.deviance - deviance) / dispersion * fit.pixels.count / pixels.count
 
-    # Without a significant strength the drop decides nothing.
+    # An effect with wald < MIN_GAIN is removed whatever its gain, so that a rough one is enough.
     if wald < MIN_GAIN or wald == np.inf:
-        thin = thin_pixels(fit.pixels)
-        gain = gain_on(thin, assemble(fit.model, thin).deviance)
+        thinned = thin_pixels(fit.pixels)
+        gain = gain_on(thinned, assemble(fit.model, thinned).deviance)
         if gain > CERTAIN or wald < MIN_GAIN:
             return gain
     return gain_on(fit.pixels, fit.deviance)
 
 
 def distance_from_nothing(applied: AppliedEffect) -> float:
-    """Return how far the strength is from where the effect vanishes; infinite for a clip, NaN if nobody knows."""
+    """Return the distance of the strength from the value at which the effect vanishes, in the unit of the strength.
+
+    It is infinite for a clip, and NaN if that value depends on the dataset.
+    """
     return abs(applied.values[0] - applied.effect.vanishes_at)
 
 
 def is_negligible(applied: AppliedEffect, scales: EffectScales) -> bool:
-    """Return whether a user would call the strength of an effect nothing."""
-    low = applied.effect.parameters[0].negligible
-    return bool(distance_from_nothing(applied) < (low(scales) if callable(low) else low))
+    """Return whether the strength of an effect is too small to matter to a user."""
+    least = applied.effect.parameters[0].negligible
+    return bool(distance_from_nothing(applied) < (least(scales) if callable(least) else least))
 
 
 # Sums over clusters of pixels
 
 
 def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]) -> list[ClusterSums]:
-    """Return the sums of the targets for each division into clusters.
+    """Return the sums of scores and information over clusters, for each division of the pixels into clusters.
 
-    Targets are numbers of unknowns behind the spots; their columns are projected off all other unknowns, but not off
-    each other.
+    Parameters
+    ----------
+    fit : JointFit
+        Fit with the targets.
+    targets : array [target]
+        Positions of fitted parameters among the unknowns. Their columns are projected on all other unknowns, but not on
+        each other.
+    labels : sequence of functions
+        Divisions of the pixels: each returns the cluster of each pixel.
     """
-    model, equations = fit.model, fit.equations
+    model, equations, information = fit.model, fit.equations, fit.equations.information
     others = np.setdiff1d(np.arange(equations.size), targets)
-    absorbed = solve_positive(
-        equations.information[np.ix_(others, others)], equations.information[np.ix_(others, targets)]
-    )
-    coefficients = np.zeros((equations.size, len(targets)))
-    coefficients[others] = absorbed
-    of_shape = None
+    # Steps of the unknowns that reproduce the column of each target best; 0 for the targets themselves.
+    steps = np.zeros((equations.size, len(targets)))
+    steps[others] = solve_positive(information[np.ix_(others, others)], information[np.ix_(others, targets)])
+    coefficients = None
     if equations.shape is not None:
         cross = equations.shape.cross
-        of_shape = equations.shape.factor.back_solve(cross[:, targets] - cross[:, others] @ absorbed)
+        coefficients = equations.shape.factor.back_solve(cross[:, targets] - cross[:, others] @ steps[others])
 
-    def of_batch(part: slice) -> list[tuple[np.ndarray, ...]]:
-        at = evaluate(model, fit.pixels, part)
-        fitted = columns_of(model, at)
-        used = at.weight > 0
-        light = None if of_shape is None else ShapeSums(model, at).values(of_shape)
-        projected = [subtract_absorbed(at, part, fitted[target - 4 * equations.frames], coefficients[:, k], fitted,
-                                       None if light is None else light[k])
-                     for k, target in enumerate(targets)]  # fmt: skip
-        informations = [at.information_per_pixel(column) for column in projected]
-        values = ([at.score_per_pixel(column) for column in projected], informations,
-                  [at.field_share * information for information in informations])  # fmt: skip
-        out = []
+    def sum_batch(batch: slice) -> list[tuple[np.ndarray, ...]]:
+        """Return, for each division, the clusters of a batch and their three sums; see `_merge`."""
+        evaluation = evaluate(model, fit.pixels, batch)
+        fitted_columns = differentiate_readings(model, evaluation)
+        is_used = evaluation.weight > 0
+        light = [None] * len(targets) if coefficients is None else ShapeSums(model, evaluation).values(coefficients)
+        terms = []
+        for k, target in enumerate(targets):
+            column = fitted_columns[target - SPOT_PARAMETERS * equations.frames]
+            column = subtract_absorbed(evaluation, batch, column, steps[:, k], fitted_columns, light[k])
+            per_pixel = evaluation.information_per_pixel(column)
+            terms.append((evaluation.score_per_pixel(column), per_pixel, evaluation.field_share * per_pixel))
+        divisions = []
         for label in labels:
-            keys, index = np.unique(np.broadcast_to(label(model, at, part), used.shape)[used], return_inverse=True)
-            sums = (np.stack([np.bincount(index, row[used], len(keys)) for row in rows], 1) for rows in values)
-            out.append((keys, *sums))
-        return out
+            label_of_pixel = np.broadcast_to(label(model, evaluation, batch), is_used.shape)[is_used]
+            clusters, index = np.unique(label_of_pixel, return_inverse=True)
+            sums = (np.stack([np.bincount(index, term[is_used], len(clusters)) for term in of_targets], 1)
+                    for of_targets in zip(*terms, strict=True))  # fmt: skip
+            divisions.append((clusters, *sums))
+        return divisions
 
-    parts = map_batches(of_batch, fit.pixels)
-    return [_merge([part[k] for part in parts]) for k in range(len(labels))]
-
-
-def _merge(parts: Sequence[tuple[np.ndarray, ...]]) -> ClusterSums:
-    """Return sums over the batches by cluster."""
-    keys, index = np.unique(np.concatenate([part[0] for part in parts]), return_inverse=True)
-    out = []
-    for k in (1, 2, 3):
-        rows = np.concatenate([part[k] for part in parts])
-        total = np.zeros((len(keys), rows.shape[1]))
-        np.add.at(total, index, rows)
-        out.append(total)
-    return ClusterSums(*out)
+    batches = map_batches(sum_batch, fit.pixels)
+    return [_merge([divisions[k] for divisions in batches]) for k in range(len(labels))]
 
 
-def label_cells(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
-    """Return the cell of each pixel: sector × ring × condition."""
-    sector, ring = divide_spot(at)
-    condition = model.design.condition[part][:, None, None]
+def _merge(batches: Sequence[tuple[np.ndarray, ...]]) -> ClusterSums:
+    """Add the sums of the same cluster over batches.
+
+    Each batch has the labels of its clusters [cluster] and the sums of score, information and field information
+    [cluster, target].
+    """
+    labels, *sums = (np.concatenate(arrays) for arrays in zip(*batches, strict=True))
+    clusters, index = np.unique(labels, return_inverse=True)
+    totals = [np.zeros((len(clusters), terms.shape[1])) for terms in sums]
+    for total, terms in zip(totals, sums, strict=True):
+        np.add.at(total, index, terms)
+    return ClusterSums(*totals)
+
+
+def label_cells(model: JointModel, evaluation: Evaluation, batch: slice) -> np.ndarray:
+    """Return the cell of each pixel [frame, h, w]: sector × ring × condition."""
+    sector, ring = divide_spot(evaluation)
+    condition = model.design.condition[batch][:, None, None]
     return sector + SECTORS * (ring + 2 * condition)
 
 
-def label_sites(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
-    """Return the cluster of each pixel: site × sector, or blocks of a frame if sites are few."""
-    design: Design = model.design
-    if design.sites >= MANY_SITES:
-        return design.site[part][:, None, None] * SECTORS + divide_spot(at)[0]
-    pixels = at.conditions.pixels
-    block = (pixels.y // BLOCK_PX) * 10_000 + pixels.x // BLOCK_PX
-    return (np.arange(part.start, part.stop)[:, None, None] * 10**8 + block).astype(np.int64)
+def label_sites(model: JointModel, evaluation: Evaluation, batch: slice) -> np.ndarray:
+    """Return the cluster of each pixel [frame, h, w]: site × sector, or block of a frame if sites are few."""
+    if model.design.sites >= MANY_SITES:
+        return model.design.site[batch][:, None, None] * SECTORS + divide_spot(evaluation)[0]
+    pixels = evaluation.conditions.pixels
+    block = (pixels.y // BLOCK_PX) * ROW_FACTOR + pixels.x // BLOCK_PX
+    return (np.arange(batch.start, batch.stop)[:, None, None] * FRAME_FACTOR + block).astype(np.int64)
 
 
-def label_rows(model: JointModel, at: Evaluation, part: slice) -> np.ndarray:
-    """Return the cluster of each pixel: row of a frame."""
-    frame = np.arange(part.start, part.stop)[:, None, None]
-    return (frame * 10**6 + at.conditions.pixels.y).astype(np.int64)
+def label_rows(model: JointModel, evaluation: Evaluation, batch: slice) -> np.ndarray:
+    """Return the cluster of each pixel [frame, h, 1]: row of a frame."""
+    frame = np.arange(batch.start, batch.stop)[:, None, None]
+    return (frame * ROW_FRAME_FACTOR + evaluation.conditions.pixels.y).astype(np.int64)
 
 
-def divide_spot(at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
-    """Return sector 0 … 7 of 45° and ring 0 or 1 of each pixel about the centre of its spot."""
-    conditions = at.conditions
+def divide_spot(evaluation: Evaluation) -> tuple[np.ndarray, np.ndarray]:
+    """Return sector (0 … 7, of 45° each) and ring (0 inside, 1 outside) of each pixel about the centre of its spot.
+
+    Both are [frame, h, w].
+    """
+    conditions = evaluation.conditions
     dx, dy = conditions.pixels.x - conditions.x0, conditions.pixels.y - conditions.y0
     turn = (np.arctan2(dy, dx) + np.pi) / (2 * np.pi)
     sector = np.minimum((turn * SECTORS).astype(int), SECTORS - 1)
@@ -288,7 +341,10 @@ def divide_spot(at: Evaluation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def information_beside(fit: JointFit, targets: np.ndarray) -> np.ndarray:
-    """Return the Fisher information of unknowns beside all others [target, target]."""
+    """Return the Fisher information on targets [target, target] if all other unknowns are fitted as well.
+
+    `targets` are positions among the unknowns; the information is the Schur complement.
+    """
     matrix = fit.equations.information
     others = np.setdiff1d(np.arange(fit.equations.size), targets)
     cross = matrix[np.ix_(others, targets)]

@@ -1,4 +1,10 @@
-"""The extended model of a verdict: law, effects, learned light and spots, as model.yaml holds them."""
+"""The extended model of a verdict: law, effects, learned light and spots, in the form of model.yaml.
+
+The extended model is the declared model of the instrument with the effects that the verdict names. The learned light is
+a fitted light shape in place of the declared one. A law is an effect that changes only brightness and width of the
+spots, from frame to frame. The exposure law is peak ∝ exposure and σ = laser width + p1 ln t + p2; p1 and p2 are in px.
+The spot parameters of a frame are ln peak [ln DN], ln σ [ln px], x and y [px].
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +16,7 @@ from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.analysis import Analysis, Setting
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect
-from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import LawSearch, is_law
 from spotcheck.discrepancy.spot_numbers import SpotNumbers
@@ -21,47 +27,50 @@ from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.model_file import ExtendedModel, Site, Spot, scales_of, site_of
 
-# Smallest peak [DN] and width [px] of a spot without a law: a spot has some of both, however badly it was fitted.
+# Smallest peak [DN] and width [px] of a spot in the file: both must be positive, even if the spot was fitted badly.
 LEAST = 1e-3
-# A turn [deg], to which directions are brought back.
+# A full turn [deg], modulo which directions are written.
 TURN = 360.0
-# Residual of ln peak or ln σ of a spot that a law does not allow, and the least scale of parameters in a fit of laws.
+# Residual of ln peak or ln σ of a spot outside the domain of a law, and least scale of the parameters in a fit of laws.
 OUT_OF_DOMAIN, LEAST_SCALE = 1e3, 0.1
 
 
 @dataclass(frozen=True)
 class FinalModel:
-    """What a verdict makes of the mean images of all F frames."""
+    """Model of the mean images of all frames with the named effects."""
 
     forward: ForwardModel  # effects of the mean image, light and sensor as fitted; without a law
-    spots: FrameParameters  # spot of each frame, of held-out ones too
-    law: ExposureLaw | None  # law of the exposure beside all named laws; None if there is none
+    spots: FrameParameters  # spot parameters of each frame, including the held-out ones
+    law: ExposureLaw | None  # exposure law with all named laws in place; None without a law of the exposure
 
     def of_frames(self, selection: np.ndarray, design: Design) -> JointModel:
-        """Return the model of some frames; `selection` are their numbers among all, `design` their conditions."""
+        """Return the model of some frames: `selection` are their positions among all, `design` their conditions."""
         return JointModel(self.forward, self.spots.select(selection), design)
 
     def with_its_sensor(self, model: JointModel) -> JointModel:
-        """Return another model with the sensor of this one, so that both are measured by the same noise."""
+        """Return another model with the sensor of this one, so that residuals of both are divided by the same noise."""
         return replace(model, forward=replace(model.forward, sensor=self.forward.sensor))
 
 
 def fit_final_model(analysis: Analysis, findings: Findings, frames: FrameSet) -> FinalModel:
-    """Return the model with all that is named, and only that; fits that the analysis has not made are made here.
+    """Return the model with exactly the named effects, at their reported values.
+
+    If the effects or the light differ from those of the analysis, the spots are fitted again. Spots of held-out frames
+    are always fitted here.
 
     Parameters
     ----------
     analysis : Analysis
         Analysis of the frames.
     findings : Findings
-        What is concluded of it.
+        Findings from this analysis.
     frames : FrameSet
-        All frames, as the analysis got them.
+        All frames, as they were given to the analysis.
     """
     fit, prepared = analysis.selected.fit, analysis.prepared
-    explained = () if analysis.shape is None else analysis.shape.effects
-    in_image = {*fit.model.effect_names, *(applied.effect.name for applied in explained)}
-    effects = tuple(with_reported_values(named) for named in findings.effects if named.name in in_image)
+    static_shapes = () if analysis.shape is None else analysis.shape.effects
+    image_effects = {*fit.model.effect_names, *(applied.effect.name for applied in static_shapes)}
+    effects = tuple(with_reported_values(named) for named in findings.effects if named.name in image_effects)
     has_learned_light = fit.model.grid is not None and findings.light is not None
     stated = prepared.setting.baseline
     learned = fit.model.forward.baseline.learned if has_learned_light else stated.learned
@@ -75,17 +84,20 @@ def fit_final_model(analysis: Analysis, findings: Findings, frames: FrameSet) ->
         numbers = SpotNumbers(prepared.frames.design, spots, refitted.joint_covariance)
         search = search and search.with_numbers(numbers)
     is_held_out = frames.held_out()
-    rows = np.empty((4, len(frames)))
-    rows[:, ~is_held_out] = spots.as_rows()
+    spot_rows = np.empty((SPOT_PARAMETERS, len(frames)))
+    spot_rows[:, ~is_held_out] = spots.as_rows()
     if is_held_out.any():
-        rows[:, is_held_out] = fit_spots(forward, prepared.unseen, prepared.unseen_spots).spots.as_rows()
+        spot_rows[:, is_held_out] = fit_spots(forward, prepared.unseen, prepared.unseen_spots).spots.as_rows()
     laws = tuple(with_reported_values(named) for named in findings.effects if is_law(named.applied.effect))
     law = None if search is None else fit_exposure_law(search, laws)
-    return FinalModel(forward, FrameParameters(*rows), law)
+    return FinalModel(forward, FrameParameters(*spot_rows), law)
 
 
 def with_reported_values(named: NamedEffect) -> AppliedEffect:
-    """Return an effect with the values that a verdict reports; some may come from other fits than the effect."""
+    """Return an effect with the values that a verdict reports; some may come from another fit than that of the effect.
+
+    A value that is not finite in the verdict keeps the fitted one.
+    """
     applied = named.applied
     for name, reported in named.values.items():
         if np.isfinite(reported.value):
@@ -94,27 +106,28 @@ def with_reported_values(named: NamedEffect) -> AppliedEffect:
 
 
 def fit_exposure_law(search: LawSearch, laws: tuple[AppliedEffect, ...]) -> ExposureLaw:
-    """Return the law of the exposure that fits the spots best beside laws whose values are fixed.
+    """Fit the exposure law to brightness and width of the spots, with other laws at fixed values.
 
-    The rise with the exposure stays 0 if there is one exposure or if a law replaces it.
+    p1 is fitted only if there are several exposures and no law replaces it; it keeps its starting value otherwise.
     """
     spots, laser_px = search.numbers.spots, search.forward.baseline.laser_px
     is_replaced = "p1" in {name for applied in laws for name in applied.effect.replaces}
     start = search.fit([]).law
     if is_replaced:
         start = ExposureLaw(0.0, float(np.exp(np.mean(spots.log_sigma))) - laser_px, start.peak_dn)
-    has_rise = len(np.unique(search.design.exposure_s)) > 1 and not is_replaced
+    fits_p1 = len(np.unique(search.design.exposure_s)) > 1 and not is_replaced
 
     def law_of(values: np.ndarray) -> ExposureLaw:
-        return ExposureLaw(float(values[2]) if has_rise else start.p1, float(values[1]), float(np.exp(values[0])))
+        """Return the law of fitted values: ln peak, p2, and p1 if it is fitted."""
+        return ExposureLaw(float(values[2]) if fits_p1 else start.p1, float(values[1]), float(np.exp(values[0])))
 
-    def residual(values: np.ndarray) -> np.ndarray:
+    def whitened_residual(values: np.ndarray) -> np.ndarray:
+        """Return the residuals of ln peak and ln σ of all frames, transformed to unit covariance [2F]."""
         difference = search.observations - search.mean_of(replace(search.forward, law=law_of(values), effects=laws))
-        # Outside the domain of the law every value is as bad.
         return search.whitening @ np.where(np.isfinite(difference), difference, OUT_OF_DOMAIN)
 
-    values = np.array([np.log(start.peak_dn), start.p2, *([start.p1] if has_rise else [])])
-    return law_of(optimize.least_squares(residual, values, x_scale=np.maximum(np.abs(values), LEAST_SCALE)).x)
+    values = np.array([np.log(start.peak_dn), start.p2, *([start.p1] if fits_p1 else [])])
+    return law_of(optimize.least_squares(whitened_residual, values, x_scale=np.maximum(np.abs(values), LEAST_SCALE)).x)
 
 
 def build_extended_model(
@@ -125,33 +138,33 @@ def build_extended_model(
     setting: Setting,
     dataset: Dataset,
 ) -> ExtendedModel:
-    """Return the model of model.yaml.
+    """Return the content of model.yaml.
 
     Parameters
     ----------
     final : FinalModel
-        As `fit_final_model` returns it.
+        Result of `fit_final_model`.
     findings : Findings
-        What is concluded of the frames.
+        Findings from the frames.
     frames : FrameSet
         All frames.
     rows : sequence of Frame
         Row of the manifest of each frame.
     setting : Setting
-        The instrument's model.
+        Properties of the instrument.
     dataset : Dataset
-        The dataset, for its conditions and exposures.
+        Dataset with the conditions and exposures of the frames.
     """
     learned = final.forward.baseline.learned
     lights = () if learned is None or findings.light is None else (learned,)
     effects = [with_reported_values(named) for named in findings.effects if named.applied.effect.stages]
     if lights and findings.light is not None:
-        shape = _effect_of_light(findings.light)
-        effects += [] if shape is None else [shape]
-        lights = () if shape is None else lights
+        light_effect = _effect_of_light(findings.light)
+        effects += [] if light_effect is None else [light_effect]
+        lights = () if light_effect is None else lights
     has_law = final.law is not None
     sites = [site_of(row, dataset.instrument.conditions, has_law) for row in rows]
-    plain = ExtendedModel(
+    without_effects = ExtendedModel(
         law=final.law,
         longest_s=frames.design.longest_s,
         reference_s=frames.design.reference_s,
@@ -161,12 +174,15 @@ def build_extended_model(
         spots=_spots_of_sites(final.spots, sites, has_law),
         lights=lights,
     )
-    scales = scales_of(plain, setting.baseline, setting.sensor, dataset.instrument.crop_px, dataset.exposures)
-    return replace(plain, effects=tuple(_complete(applied, scales) for applied in effects))
+    scales = scales_of(without_effects, setting.baseline, setting.sensor, dataset.instrument.crop_px, dataset.exposures)
+    return replace(without_effects, effects=tuple(_complete(applied, scales) for applied in effects))
 
 
 def _effect_of_light(light: LearnedLight) -> AppliedEffect | None:
-    """Return the effect that stands for a learned light, the one without steps; None if the vocabulary has none."""
+    """Return the effect that represents a learned light in the file; None if the vocabulary has none.
+
+    It is the effect without steps in the forward model: the light itself is stored in the file as an array.
+    """
     effect = next((effect for effect in vocabulary().values() if not effect.stages), None)
     if effect is None:
         return None
@@ -176,36 +192,40 @@ def _effect_of_light(light: LearnedLight) -> AppliedEffect | None:
 
 
 def _complete(applied: AppliedEffect, scales: EffectScales) -> AppliedEffect:
-    """Return an effect as a file takes it: directions within one turn, values within bounds, none missing.
+    """Return an effect that meets the rules of the file: directions from 0 to 360°, values within bounds, none missing.
 
-    A verdict's values may lie outside by a little: bounds of its fit came from its first look at the frames.
+    Missing values are starting values. Reported values may lie slightly outside the bounds, since the bounds of the fit
+    came from scales that were estimated earlier. Parameters that the variant does not have are NaN.
     """
     effect = applied.effect
-    start = next(iter(effect.starts(scales)), applied.values)
+    starts = next(iter(effect.starts(scales)), applied.values)
     values = []
-    for parameter, value, other, (low, high) in zip(
-        effect.parameters, applied.values, start, effect.bounds(scales), strict=True
+    for parameter, value, start, (low, high) in zip(
+        effect.parameters, applied.values, starts, effect.bounds(scales), strict=True
     ):
         if parameter not in effect.parameters_of(applied.variant):
             values.append(np.nan)
             continue
-        value = value if np.isfinite(value) else other
+        value = value if np.isfinite(value) else start
         value = value % TURN if parameter.unit == "deg" else value
         values.append(float(np.clip(value, low, high)))
     return replace(applied, values=tuple(values))
 
 
 def _spots_of_sites(spots: FrameParameters, sites: Sequence[Site], has_law: bool) -> Mapping[Site, Spot]:
-    """Return the mean centre of the frames of each site, and without a law peak and width too."""
+    """Return the spot of each site: the mean centre of its frames and, without a law, their mean ln peak and ln σ.
+
+    `sites` has the site of each frame. With a law, peak and width follow from the law and are left out.
+    """
     members: dict[Site, list[int]] = {}
-    for number, site in enumerate(sites):
-        members.setdefault(site, []).append(number)
-    out = {}
+    for frame, site in enumerate(sites):
+        members.setdefault(site, []).append(frame)
+    spot_of_site = {}
     for site, frames in members.items():
         log_peak, log_sigma, x, y = spots.as_rows()[:, frames].mean(axis=1)
         spot = Spot(float(x), float(y))
         if not has_law:
-            peak, sigma = (max(float(np.exp(value)), LEAST) for value in (log_peak, log_sigma))
-            spot = replace(spot, peak_dn=peak, sigma_px=sigma)
-        out[site] = spot
-    return out
+            peak_dn, sigma_px = (max(float(np.exp(value)), LEAST) for value in (log_peak, log_sigma))
+            spot = replace(spot, peak_dn=peak_dn, sigma_px=sigma_px)
+        spot_of_site[site] = spot
+    return spot_of_site

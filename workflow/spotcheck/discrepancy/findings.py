@@ -1,6 +1,9 @@
-"""Records of all that is concluded of a dataset, from which verdict.json, the extended model and the pictures are made.
+"""Records of the findings from a dataset, from which verdict.json, the extended model and the pictures are made.
 
-The analysis of spot frames and that of flats fill the same records.
+The analysis of spot frames and that of flats fill the same records. The declared model is that of the instrument; the
+extended model is the declared one with the named effects. A named effect is one that the verdict reports as present.
+The gap is the squared residual of the declared model on held-out data beyond noise. The unit [peak] is the peak of the
+spot, or of the brightest level of flats.
 """
 
 from collections.abc import Mapping
@@ -12,11 +15,11 @@ from spotcheck.model.light_shape import LightShape
 
 @dataclass(frozen=True)
 class ParameterValue:
-    """A reported value."""
+    """A reported value with its standard error."""
 
-    value: float
-    stderr: float  # standard error; NaN if unknown
-    unit: str  # "1" for none
+    value: float  # in the unit below
+    stderr: float  # standard error in the same unit; NaN if unknown
+    unit: str  # "1" if dimensionless
 
 
 @dataclass(frozen=True)
@@ -31,15 +34,16 @@ class Consistency:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that the frames show."""
+    """An effect that the verdict reports as present."""
 
     applied: AppliedEffect  # effect, variant and values of all its parameters
     values: Mapping[str, ParameterValue]  # reported parameters by name
-    gain: float  # drop of −2 ln L by it; NaN if unknown
-    z: float  # its strength in standard errors
-    consistency: Consistency | None = None  # None for effects that scatter
-    rivals: Mapping[str, float] = field(default_factory=dict)  # effects that do as well: how much larger −2 ln L is
-    gap_closed: float = float("nan")  # part of the gap on held-out frames that it closes; NaN if unknown
+    gain: float  # drop of −2 ln L by the effect; NaN if unknown
+    z: float  # strength in standard errors
+    consistency: Consistency | None = None  # None for laws, static shapes and random effects
+    # Effects that explain the data about as well in its place, by name: by how much −2 ln L is larger with them.
+    rivals: Mapping[str, float] = field(default_factory=dict)
+    gap_closed: float = float("nan")  # part of the gap that the effect closes; NaN if unknown
 
     @property
     def name(self) -> str:
@@ -51,27 +55,27 @@ class NamedEffect:
 class ResidualTest:
     """A test of the residuals of the declared model."""
 
-    name: str  # what is tested, such as "blocks"
+    name: str  # quantity that is tested, such as "blocks"
     where: str  # the place that disagrees most, in words; "" if there is no place
-    statistic: float  # its strongest residual in standard errors
+    statistic: float  # the strongest residual, at this place, in standard errors
     p_value: float  # of this test alone
-    z: float  # normal equivalent of the p-value
+    z: float  # normal deviate of this p-value
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Whether anything disagrees with a model."""
+    """Result of all tests for disagreement with a model."""
 
-    p_value: float  # of the strongest test, corrected for their number
-    tests: tuple[ResidualTest, ...]  # all tests
+    p_value: float  # smallest p-value of all tests, corrected for their number
+    tests: tuple[ResidualTest, ...]  # all tests, the smallest p-value first
 
 
 @dataclass(frozen=True)
 class Place:
     """A place in the images that disagrees with the declared model."""
 
-    words: str  # where it is
-    z: float  # its mean residual in standard errors
+    words: str  # description of the place
+    z: float  # mean residual in standard errors
 
 
 @dataclass(frozen=True)
@@ -79,65 +83,69 @@ class LearnedLight:
     """A learned light shape compared with the declared one."""
 
     shape: LightShape  # difference from the declared shape
-    power: float  # part of the light that lies elsewhere: half the absolute difference over all light
+    power: float  # part of the light that lies elsewhere: half the absolute difference over all light, 0 to 1
     stderr: float  # standard error of the power
     orders: tuple[float, ...]  # part of that power by azimuthal order, from 0 on
     major: float  # second-moment width along the long axis, over the declared one
     minor: float  # the same along the short axis
-    direction_deg: float  # direction of the long axis
+    direction_deg: float  # direction of the long axis [deg]
     lowest: float  # least value of the whole shape [peak]
-    words: str  # the same for a person
-    gain: float = float("nan")  # drop of −2 ln L by it; NaN if unknown
-    gap_closed: float = float("nan")  # part of the gap on held-out frames that it closes; NaN if unknown
+    words: str  # description of the shape for the verdict
+    gain: float = float("nan")  # drop of −2 ln L by the learned shape; NaN if unknown
+    gap_closed: float = float("nan")  # part of the gap that the learned shape closes; NaN if unknown
 
 
 @dataclass(frozen=True)
 class SensorPull:
-    """A number of the data sheet and what the frames say of it."""
+    """A parameter of the sensor: value of the data sheet and value fitted with it as a prior."""
 
     name: str  # key of the instrument's sensor, such as "gain_dn_per_e"
     unit: str  # of all four numbers
     stated: float  # value of the data sheet
-    stated_stderr: float  # its standard error
-    fitted: float  # by data sheet and frames together
+    stated_stderr: float  # standard error of the stated value
+    fitted: float  # value from data sheet and frames together
     stderr: float  # standard error of the fitted value
 
     @property
     def shift(self) -> float:
-        """Shift from the stated value in stated errors."""
+        """Difference of fitted and stated value in standard errors of the stated one."""
         return (self.fitted - self.stated) / self.stated_stderr
 
     @property
     def z(self) -> float:
-        """Shift in the standard deviation that it would have if the data sheet were right."""
+        """Difference of fitted and stated value in its standard deviation, on the assumption of a correct data sheet.
+
+        The fitted value contains the stated one, so that the variance of the difference is that of the stated value
+        less that of the fitted one.
+        """
         return (self.fitted - self.stated) / max(self.stated_stderr**2 - self.stderr**2, 1e-300) ** 0.5
 
 
 @dataclass(frozen=True)
 class UpperLimit:
-    """Range in which the strength of an effect that is not named lies (95 %)."""
+    """Range that contains the strength of an effect that is not named, with 95 % confidence."""
 
-    effect: str
-    parameter: str
-    unit: str
-    reason: str  # why it is not named
-    low: float = float("nan")  # NaN: no lower end
-    high: float = float("nan")  # NaN: no upper end
-    frames: int | None = None  # more frames of all conditions that would halve it; None if no number is known to
-    remark: str = ""  # why more frames would not help
+    effect: str  # name of the effect
+    parameter: str  # name of the parameter that is the strength
+    unit: str  # unit of the strength
+    reason: str  # why the effect is not named
+    low: float = float("nan")  # lower end; NaN if the range is open below
+    high: float = float("nan")  # upper end; NaN if the range is open above
+    frames: int | None = None  # number of further frames, over all conditions, that halves the range; None if unknown
+    remark: str = ""  # why further frames do not help; "" if they do
 
 
 @dataclass(frozen=True)
 class Gap:
     """Residuals on held-out data: mean over blocks of the squared sum of residuals over its variance."""
 
-    before: float  # declared model
-    after: float  # extended model
-    noise_floor: float  # expectation of `after` if the extended model is right
-    closed: float  # part of the gap that is closed
-    rms_dn_before: float  # rms of block means beyond noise [DN]
-    rms_dn_after: float
-    gain: float  # drop of −2 ln p, the predictive log score, over all held-out frames
+    before: float  # under the declared model
+    after: float  # under the extended model
+    noise_floor: float  # expectation of `after` if the extended model is correct
+    closed: float  # part of the gap that the extended model closes
+    rms_dn_before: float  # rms of block means beyond noise, under the declared model [DN]
+    rms_dn_after: float  # the same under the extended model [DN]
+    gain: float  # drop of −2 ln p, with the predictive density p of all held-out data, from declared to extended model
     on: str  # which data are held out, in words
 
 
@@ -154,62 +162,62 @@ class MetricChange:
 
 @dataclass(frozen=True)
 class LawShift:
-    """p1 and p2 [px] under the declared and under the extended model; NaN without a law."""
+    """Parameters (p1, p2) [px] of the width law σ = laser width + p1 ln t + p2; NaN if not fitted."""
 
-    before: tuple[float, float] = (float("nan"), float("nan"))
-    after: tuple[float, float] = (float("nan"), float("nan"))
-    stderr: tuple[float, float] = (float("nan"), float("nan"))  # of `after`
+    before: tuple[float, float] = (float("nan"), float("nan"))  # under the declared model
+    after: tuple[float, float] = (float("nan"), float("nan"))  # under the extended model
+    stderr: tuple[float, float] = (float("nan"), float("nan"))  # standard errors of `after`
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What is left of the mean image beside all that is named."""
+    """Difference of the mean image and the extended model that no named effect explains."""
 
-    size: float  # rms [peak], noise taken off
-    variance_error: float  # standard error of its square [peak²]
-    z: float  # its square in standard errors
-    share: float  # part of the gap that is left; NaN if unknown
-    p_value: float  # of the tests of detection beside the extended model; NaN if not tested
+    size: float  # rms difference beyond noise [peak]
+    variance_error: float  # standard error of the mean squared difference [peak²]
+    z: float  # mean squared difference in standard errors
+    share: float  # part of the gap that remains; NaN if unknown
+    p_value: float  # of the residual tests under the extended model; NaN if not tested
 
 
 @dataclass(frozen=True)
 class Advice:
-    """A measurement that would separate two candidates."""
+    """A further measurement that would distinguish a named effect from a rival."""
 
-    condition: Mapping[str, float | bool]  # such as `exposure_s`, `angle_deg`, `blocked`
-    separates: tuple[str, str]  # names of the candidates
-    frames: int  # number of frames
+    condition: Mapping[str, float | bool]  # `exposure_s`, and perhaps `angle_deg` or `blocked`
+    separates: tuple[str, str]  # names of the effect and of the rival
+    frames: int  # number of frames that are needed
 
 
 @dataclass(frozen=True)
 class LevelFindings:
-    """What levels of flats say beside effects."""
+    """Results from levels of flats other than effects. K is the gain of the sensor."""
 
-    number: int  # of levels
-    frames: int
-    gain: ParameterValue  # K with all that is named [DN/e-]
-    straight_line: ParameterValue  # K by a straight line through the lower levels (EMVA 1288) [DN/e-]
-    light_scatter: float  # scatter of the lamp from level to level, as part of its light
+    number: int  # number of levels
+    frames: int  # number of frames of all levels
+    gain: ParameterValue  # K from the fit with the named effects [DN/e-]
+    straight_line: ParameterValue  # K from a straight line through the lower levels (EMVA 1288) [DN/e-]
+    light_scatter: float  # scatter of the lamp from level to level, relative to its light
 
 
 @dataclass(frozen=True)
 class Findings:
-    """All that is concluded of a dataset."""
+    """Everything that a verdict reports of a dataset."""
 
     reason: str = ""  # why nothing could be assessed; "" if it was
     has_converged: bool = True  # whether the fits behind the effects have converged
     detection: Detection | None = None  # tests of the declared model; None if nothing was assessed
-    rms_of_peak: float = float("nan")  # rms of the mean image about the declared model [peak], noise taken off
-    places: tuple[Place, ...] = ()  # where the declared model fails, the strongest first
-    effects: tuple[NamedEffect, ...] = ()  # the one that closes most of the gap first
-    light: LearnedLight | None = None  # None if the declared shape stands
-    sensor: tuple[SensorPull, ...] = ()  # numbers of the data sheet that were fitted
-    limits: tuple[UpperLimit, ...] = ()  # of effects that are not named
+    rms_of_peak: float = float("nan")  # rms difference of mean image and declared model beyond noise [peak]
+    places: tuple[Place, ...] = ()  # places that disagree most with the declared model, the strongest first
+    effects: tuple[NamedEffect, ...] = ()  # named effects, the one that closes most of the gap first
+    light: LearnedLight | None = None  # learned light shape; None if the declared one is kept
+    sensor: tuple[SensorPull, ...] = ()  # parameters of the data sheet that were fitted
+    limits: tuple[UpperLimit, ...] = ()  # limits on effects that were assessed but not named
     law: LawShift = LawShift()  # change of p1 and p2 by the effects
-    unexplained: Unexplained | None = None  # what the extended model leaves; None if nothing was assessed
-    gap: Gap | None = None  # on held-out frames; None if there are none
-    metrics: tuple[MetricChange, ...] = ()  # of the paper; empty without held-out frames
-    advice: tuple[Advice, ...] = ()  # measurements that separate rivals
-    not_assessed: tuple[tuple[str, str], ...] = ()  # effects that the design cannot show, and why
-    levels: LevelFindings | None = None  # of flats alone
-    remarks: tuple[str, ...] = ()  # what a reader should know of the data
+    unexplained: Unexplained | None = None  # residual of the extended model; None if nothing was assessed
+    gap: Gap | None = None  # prediction of held-out data; None without these
+    metrics: tuple[MetricChange, ...] = ()  # metrics of the paper; empty without held-out frames
+    advice: tuple[Advice, ...] = ()  # further measurements that distinguish rivals
+    not_assessed: tuple[tuple[str, str], ...] = ()  # (name, reason) of effects that the design cannot show
+    levels: LevelFindings | None = None  # results from levels of flats; None for spot frames
+    remarks: tuple[str, ...] = ()  # sentences on the data for the reader of the verdict

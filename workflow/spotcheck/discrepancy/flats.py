@@ -1,7 +1,10 @@
-"""Assessment of flats and darks without spots: what their levels of light say of the sensor.
+"""Assessment of datasets of flats and darks without spots: search of their levels for effects of the sensor.
 
-The declared model is a linear sensor: a signal in proportion to the light (R), and a variance in proportion to the
-signal (K). R and K are nuisance parameters. Effects act through the stages of the sensor that spots have.
+A level is a set of flats of the same light, with mean [DN] and variance [DN²] of a reading less those of darks. The
+declared model is a linear sensor: the mean is proportional to the light (with R, the light of the lamp at the largest
+level), and the variance to the mean (with the gain K). R and K are nuisance parameters. The extended model is the
+declared one with the named effects, which act at the same stages of the sensor as for spots. A scatter
+(`LevelScatter`) is that of the levels beyond their stated errors: by the lamp, by the converter, and of the variances.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,35 +33,41 @@ from spotcheck.discrepancy.findings import (
     Unexplained,
     UpperLimit,
 )
-from spotcheck.discrepancy.flat_fit import LevelFit, LevelScatter, deviance_of, estimate_covariance, fit_levels
+from spotcheck.discrepancy.flat_fit import LevelFit, LevelScatter, estimate_covariance, fit_levels
 from spotcheck.discrepancy.flat_levels import FEWEST_LEVELS, FlatLevels, collect_levels
 from spotcheck.discrepancy.flat_selection import (
     SelectedLevelEffects,
     add_effect,
     assess_smoothness,
     estimate_rough_scatter,
+    measure_held_out_gain,
     screen_starts,
     select_level_effects,
     without_effect,
 )
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep
 
+# Reason if nothing can be assessed.
 TOO_FEW = f"fewer than {FEWEST_LEVELS} levels of different light below saturation, in pairs of frames"
-BLOCKS = ("mean", "variance")
-# Least p-value that is reported.
+# Names of the two values of a level.
+VALUES = ("mean", "variance")
+# Smallest p-value that is reported.
 LEAST_P = 1e-300
-# Number of levels that disagree most which are reported.
+# Most values of levels that are listed as places of disagreement.
 MOST_PLACES = 3
 # Normal quantiles of 95 %, for limits with one end and with two.
 ONE_SIDED, TWO_SIDED = 1.645, 1.960
-# Standard errors beyond which an effect that is not named is there all the same, so that more frames do not lower its
-# limit.
-IS_THERE = 3.0
-# Promised drop of −2 ln L from which on a limit comes from a fit, not from score tests.
+# Strength in standard errors above which an effect that is not named may still be present, so that further frames would
+# not lower its limit.
+FITTED_PRESENT_Z = 3.0
+# Least promised drop of −2 ln L at which a limit is taken from a fit of the effect instead of score tests.
 LEAST_FIT = 9.0
+# Reason for a limit if nothing else is known.
 NOT_FOUND = "not found"
-# Most strengths that are tried for a limit, and its relative accuracy.
+# Most strengths that are tried for a limit, and the relative accuracy of the limit.
 LIMIT_TRIALS, LIMIT_ACCURACY = 16, 0.01
+# Further frames that halve errors, in numbers of present frames: errors are proportional to 1/√(number).
+HALVING_FRAMES = 3
 
 Log = Callable[[str], None]
 
@@ -66,7 +75,7 @@ Log = Callable[[str], None]
 def analyse_flats(
     dataset: Dataset, frames_table: xr.Dataset, effects: Sequence[Effect], log: Log = lambda text: None
 ) -> Findings:
-    """Return all that is concluded of a dataset of flats and darks.
+    """Return the findings from a dataset of flats and darks.
 
     Parameters
     ----------
@@ -75,22 +84,22 @@ def analyse_flats(
     frames_table : xarray.Dataset
         Table of its frames (frames.nc).
     effects : sequence of Effect
-        Effects to look for; those that levels cannot show are listed in `not_assessed`.
+        Effects to search for; those that levels cannot show are listed in `Findings.not_assessed`.
     log : callable
         Receives lines of text on the progress.
     """
     full_scale_dn = float(frames_table["full_scale"])
     dataset = exclude_copies(dataset, frames_table)
     transfer = analyse_photon_transfer(measure_levels(dataset, full_scale_dn), full_scale_dn)
-    # Levels are those of readings whose stated curvature was removed.
-    linear_end = make_linearizing_sensor(dataset, full_scale_dn).without_curvature().full_scale_dn
-    return analyse_levels(transfer, linear_end, effects, log)
+    # `measure_levels` removes a stated curvature of the response, which changes the largest reading.
+    linear_full_scale_dn = make_linearizing_sensor(dataset, full_scale_dn).without_curvature().full_scale_dn
+    return analyse_levels(transfer, linear_full_scale_dn, effects, log)
 
 
 def analyse_levels(
     transfer: Transfer, full_scale_dn: float, effects: Sequence[Effect], log: Log = lambda text: None
 ) -> Findings:
-    """Return all that is concluded of levels of light; see `analyse_flats`.
+    """Return the findings from levels of light; only a reason if the levels cannot be assessed.
 
     Parameters
     ----------
@@ -99,13 +108,13 @@ def analyse_levels(
     full_scale_dn : float
         Largest reading [DN].
     effects : sequence of Effect
-        Effects to look for.
+        Effects to search for.
     log : callable
         Receives lines of text on the progress.
     """
-    levels, line = collect_levels(transfer, full_scale_dn), transfer.quantities["gain"]
+    levels, gain_of_line = collect_levels(transfer, full_scale_dn), transfer.quantities["gain"]
     if levels is None:
-        return Findings(reason=f"the manifest names no frame of kind spot; {line.why or TOO_FEW}")
+        return Findings(reason=f"the manifest names no frame of kind spot; {gain_of_line.why or TOO_FEW}")
     reasons = {effect.name: reason_not_assessed(effect, levels) for effect in effects}
     assessed = [effect for effect in effects if not reasons[effect.name]]
     selected = select_level_effects(levels, assessed, log)
@@ -115,7 +124,8 @@ def analyse_levels(
     without = {name: without_effect(levels, fit, name) for name in fit.effect_names}
     gap, shares = measure_gap(levels, declared, fit, scatter, without)
     covariance = estimate_covariance(levels, fit)
-    noise = (scatter.lamp**2 - 1) ** 0.5 * float(np.median(levels.errors[0] / levels.values[0]))
+    gain_variance = covariance[position := fit.position("", "gain_dn_per_e"), position]
+    lamp_scatter = (scatter.lamp**2 - 1) ** 0.5 * float(np.median(levels.errors[0] / levels.values[0]))
     return Findings(
         has_converged=declared.has_converged and fit.has_converged,
         detection=detection,
@@ -129,9 +139,9 @@ def analyse_levels(
         levels=LevelFindings(
             number=len(levels.light),
             frames=levels.frames,
-            gain=ParameterValue(fit.model.sensor.gain_dn_per_e, float(covariance[1, 1] ** 0.5), "DN/e-"),
-            straight_line=ParameterValue(line.value, line.stderr, "DN/e-"),
-            light_scatter=noise,
+            gain=ParameterValue(fit.model.sensor.gain_dn_per_e, float(gain_variance**0.5), "DN/e-"),
+            straight_line=ParameterValue(gain_of_line.value, gain_of_line.stderr, "DN/e-"),
+            light_scatter=lamp_scatter,
         ),
     )
 
@@ -150,80 +160,89 @@ def reason_not_assessed(effect: Effect, levels: FlatLevels) -> str:
 
 
 def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detection:
-    """Return whether the residuals of a fit are smooth in light; scatter from level to level is that of a lamp."""
+    """Test whether the residuals of a fit have a part that is smooth in light.
+
+    A rough residual, from level to level, is taken for scatter of the lamp.
+    """
     tests = []
     z = deviations_in_errors(levels, fit, scatter)
-    for k, smoothness in enumerate(assess_smoothness(levels, fit, scatter)):
-        where = name_place(levels, k, int(np.argmax(np.abs(z[k]))))
+    for value, smoothness in enumerate(assess_smoothness(levels, fit, scatter)):
+        where = name_place(levels, value, int(np.argmax(np.abs(z[value]))))
         p_value = max(smoothness.p_value, LEAST_P)
-        tests.append(
-            ResidualTest(f"{BLOCKS[k]}: smooth in light", where, smoothness.excess, p_value, float(norm.isf(p_value)))
-        )
+        name = f"{VALUES[value]}: smooth in light"
+        tests.append(ResidualTest(name, where, smoothness.excess, p_value, float(norm.isf(p_value))))
     tests.sort(key=lambda test: test.p_value)
     return Detection(float(-np.expm1(len(tests) * np.log1p(-tests[0].p_value))), tuple(tests))
 
 
 def deviations_in_errors(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> np.ndarray:
-    """Return the residuals of a fit in standard errors [2, level]."""
+    """Return the residuals of means, and of variances at given means, in standard errors [2, level]."""
     return scatter.standardize(levels, fit.slopes).apply(fit.residual)
 
 
-def name_place(levels: FlatLevels, block: int, level: int) -> str:
-    """Return a level in words."""
-    return f"the {BLOCKS[block]} of the level at {levels.values[0, level]:.4g} DN"
+def name_place(levels: FlatLevels, value: int, level: int) -> str:
+    """Return the description of the mean (`value` 0) or the variance (1) of a level."""
+    return f"the {VALUES[value]} of the level at {levels.values[0, level]:.4g} DN"
 
 
 def list_places(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> tuple[Place, ...]:
-    """Return the levels that disagree most with a fit."""
+    """Return the means and variances of levels that disagree most with a fit, the strongest first."""
     z = deviations_in_errors(levels, fit, scatter)
     places = [divmod(int(k), z.shape[1]) for k in np.argsort(-np.abs(z), axis=None)[:MOST_PLACES]]
-    return tuple(Place(name_place(levels, block, level), float(z[block, level])) for block, level in places)
+    return tuple(Place(name_place(levels, value, level), float(z[value, level])) for value, level in places)
 
 
-# Held-out levels and what is left
+# Held-out levels and the unexplained residual
 
 
 def measure_gap(
     levels: FlatLevels, declared: LevelFit, fit: LevelFit, scatter: LevelScatter, without: dict[str, LevelFit]
 ) -> tuple[Gap, dict[str, float]]:
-    """Return the gap on held-out levels, and by effect the part of it that the effect closes.
+    """Return the gap on held-out levels, and the part of it that each effect of the extended model closes, by name.
 
-    All fits are compared under the same scatter, that beside the extended model.
+    `fit` is that of the extended model, `without` has a fit without each of its effects. All fits are compared under
+    the same scatter, that of the extended model, so that the expected mean square is 1 for noise alone.
     """
-    held_out = levels.is_held_out
-    standard = scatter.standardize(levels, fit.slopes)
-    square = {
-        name: float(np.mean(standard.apply(other.residual)[:, held_out] ** 2))
-        for name, other in {"": declared, **without}.items()
-    }
-    after = float(np.mean(standard.apply(fit.residual)[:, held_out] ** 2))
-    noise = standard.errors[0, held_out] ** 2
+    is_held_out = levels.is_held_out
+    standardization = scatter.standardize(levels, fit.slopes)
+
+    def mean_square(other: LevelFit) -> float:
+        """Return the mean squared standardized residual of the held-out levels."""
+        return float(np.mean(standardization.apply(other.residual)[:, is_held_out] ** 2))
+
+    before, after = mean_square(declared), mean_square(fit)
+    noise = standardization.errors[0, is_held_out] ** 2
     rms_before, rms_after = (
-        float(max(np.mean(other.residual[0, held_out] ** 2 - noise), 0.0) ** 0.5) for other in (declared, fit)
+        float(max(np.mean(other.residual[0, is_held_out] ** 2 - noise), 0.0) ** 0.5) for other in (declared, fit)
     )
-    excess = max(square[""] - 1.0, 1e-12)
-    gain = deviance_of(levels, declared, held_out, MIN_GAIN) - deviance_of(levels, fit, held_out, MIN_GAIN)
+    excess = max(before - 1.0, 1e-12)
     gap = Gap(
-        before=square[""], after=after, noise_floor=1.0, closed=(square[""] - after) / excess,
-        rms_dn_before=rms_before, rms_dn_after=rms_after, gain=gain, on="held-out levels",
+        before=before, after=after, noise_floor=1.0, closed=(before - after) / excess, rms_dn_before=rms_before,
+        rms_dn_after=rms_after, gain=measure_held_out_gain(levels, declared, fit), on="held-out levels",
     )  # fmt: skip
-    return gap, {name: (square[name] - after) / excess for name in without}
+    return gap, {name: (mean_square(other) - after) / excess for name, other in without.items()}
 
 
 def mean_square_beyond_noise(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> tuple[float, float]:
-    """Return the mean square of the residuals of means [peak²] less that of the lamp's scatter, and its standard error;
-    the scatter of the converter counts as misfit."""
-    searched, peak = ~levels.is_held_out, levels.values[0].max()
-    lamp = (scatter.lamp * levels.errors[0, searched] / peak) ** 2
-    square = float(np.mean((fit.residual[0, searched] / peak) ** 2 - lamp))
-    return square, float(np.sqrt(2 * np.sum(lamp**2)) / len(lamp))
+    """Return the mean square [peak²] of the residuals of means less that by the lamp, and its standard error [peak²].
+
+    The peak is the mean of the brightest level. Scatter of the converter is not subtracted: it counts as misfit.
+    """
+    is_fitted, peak_dn = ~levels.is_held_out, levels.values[0].max()
+    lamp_variance = (scatter.lamp * levels.errors[0, is_fitted] / peak_dn) ** 2
+    square = float(np.mean((fit.residual[0, is_fitted] / peak_dn) ** 2 - lamp_variance))
+    return square, float(np.sqrt(2 * np.sum(lamp_variance**2)) / len(lamp_variance))
 
 
 def measure_unexplained(
     levels: FlatLevels, fit: LevelFit, scatter: LevelScatter, gap: Gap, p_value: float
 ) -> Unexplained:
-    """Return what is left of the means beside the effects."""
+    """Return the residual of the means about the extended model; `p_value` is that of its detection.
+
+    The share of the gap is NaN if the gap under the declared model may be due to noise.
+    """
     square, error = mean_square_beyond_noise(levels, fit, scatter)
+    # Two standard deviations of the mean square of 2 n standard normal values, for n levels.
     chance = 2 * np.count_nonzero(levels.is_held_out) ** -0.5
     share = float(np.clip(1 - gap.closed, 0.0, 1.0)) if gap.before > gap.noise_floor + chance else float("nan")
     return Unexplained(max(square, 0.0) ** 0.5, error, square / error, share, p_value)
@@ -235,35 +254,37 @@ def measure_unexplained(
 def name_effects(
     selected: SelectedLevelEffects, covariance: np.ndarray, shares: dict[str, float]
 ) -> tuple[NamedEffect, ...]:
-    """Return the effects of the extended model, the one that closes most of the gap first."""
+    """Return the effects of the extended model, the one that closes most of the gap first.
+
+    `covariance` [parameter, parameter] is that of the fit, `shares` the part of the gap that each effect closes.
+    """
     named, fit = [], selected.fit
     for applied in fit.model.effects:
-        test, name = selected.tests[applied.effect.name], applied.effect.name
-        values = {
-            parameter.name: ParameterValue(
-                applied.parameters[parameter.name],
-                float(covariance[(k := fit.position(name, parameter.name)), k] ** 0.5),
-                parameter.unit,
-            )
-            for parameter in applied.effect.parameters_of(applied.variant)
-        }
-        named.append(
-            NamedEffect(applied, values, test.gain, test.z, test.consistency, test.rivals, shares[applied.effect.name])
-        )
+        name, values = applied.effect.name, {}
+        for parameter in applied.effect.parameters_of(applied.variant):
+            position = fit.position(name, parameter.name)
+            stderr = float(covariance[position, position] ** 0.5)
+            values[parameter.name] = ParameterValue(applied.parameters[parameter.name], stderr, parameter.unit)
+        test = selected.tests[name]
+        named.append(NamedEffect(applied, values, test.gain, test.z, test.consistency, test.rivals, shares[name]))
     return tuple(sorted(named, key=lambda effect: -effect.gap_closed))
 
 
 def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Effect) -> UpperLimit:
-    """Return the range of the strength of an effect that is not named."""
+    """Return the range of the strength of an effect that is not named.
+
+    The range comes from a fit if the levels react to the effect, else from score tests. Both ends are NaN for a rival
+    of a named effect, and for an effect that the levels do not show.
+    """
     parameter = effect.parameters[0]
     limit = UpperLimit(effect.name, parameter.name, parameter.unit, selected.objections.get(effect.name, NOT_FOUND))
-    rivals = [name for name, test in selected.tests.items() if effect.name in test.rivals]
-    if rivals:
-        return replace(limit, reason=f"does as well in the place of {rivals[0]}")
+    named = [name for name, test in selected.tests.items() if effect.name in test.rivals]
+    if named:
+        return replace(limit, reason=f"does as well in the place of {named[0]}")
     candidates = screen_starts(levels, selected.fit, list_starts([effect], levels.scales))
     if not candidates:
         return replace(limit, reason="these levels do not show it")
-    # The first variant that levels show stands for all.
+    # The limit is that of the first variant, in the effect's list, that the levels can show.
     variants = {candidate.start.variant for candidate in candidates}
     first = next(variant for variant in effect.variants if variant in variants)
     best, fit = next(candidate for candidate in candidates if candidate.start.variant is first), None
@@ -282,12 +303,11 @@ def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Eff
     else:
         low, high = (find_limit(levels, selected.fit, best.start, sign, TWO_SIDED) for sign in (-1, 1))
         limit = replace(limit, low=low, high=high)
-    # Errors fall with the root of the number of frames.
-    return replace(limit, frames=3 * levels.frames)
+    return replace(limit, frames=HALVING_FRAMES * levels.frames)
 
 
 def limit_fitted(levels: FlatLevels, fit: LevelFit, limit: UpperLimit) -> UpperLimit:
-    """Return the range of the strength of the last effect of a fit, to which the levels react."""
+    """Return a limit with the range of the strength of the last effect of a fit: its value and error after a refit."""
     fit = fit_levels(levels, fit.model.effects, fit)
     applied = fit.model.effects[-1]
     position, value = fit.position(limit.effect, limit.parameter), applied.values[0]
@@ -296,42 +316,48 @@ def limit_fitted(levels: FlatLevels, fit: LevelFit, limit: UpperLimit) -> UpperL
         limit = replace(limit, high=max(value, applied.effect.vanishes_at) + ONE_SIDED * error)
     else:
         limit = replace(limit, low=value - TWO_SIDED * error, high=value + TWO_SIDED * error)
-    if abs(value - applied.effect.vanishes_at) > IS_THERE * error:
+    if abs(value - applied.effect.vanishes_at) > FITTED_PRESENT_Z * error:
         return replace(limit, remark="something like it is there, which more frames will not make smaller")
-    return replace(limit, frames=3 * levels.frames)
+    return replace(limit, frames=HALVING_FRAMES * levels.frames)
 
 
 def find_limit(levels: FlatLevels, fit: LevelFit, start: AppliedEffect, sign: int, quantile: float) -> float:
-    """Return the strength on one side of where an effect vanishes of which all is just excluded; NaN if none is.
+    """Return the weakest strength of an effect that the levels exclude; NaN if they exclude none within its bounds.
 
-    The score test estimates the part s ± e of the change that a strength makes. All of it is excluded if
-    s + `quantile` e < 1, where s < 0 counts as 0. Strengths are tried, since a clip does not follow a straight line. A
-    distance is that from where the effect vanishes, or one over the strength of an effect that vanishes at infinity.
+    Strengths are on the side `sign` (1 or −1) of the value at which the effect vanishes. At a tried strength, the score
+    test finds an amplitude s ± e, in units of the change that this strength makes. The strength is excluded if
+    max(s, 0) + `quantile` e < 1. Several strengths are tried, since the change by a clip is not proportional to its
+    strength. The search is in a distance: from the value at which the effect vanishes, or 1/strength if it vanishes at
+    infinity (a clip; `sign` does not matter then).
     """
     effect, name = start.effect, start.effect.parameters[0].name
-    is_clip = not np.isfinite(effect.vanishes_at)
+    vanishes_at_infinity = not np.isfinite(effect.vanishes_at)
 
     def strength_at(distance: float) -> float:
-        return 1 / distance if is_clip else effect.vanishes_at + sign * distance
+        """Return the strength at a distance, in the unit of the strength."""
+        return 1 / distance if vanishes_at_infinity else effect.vanishes_at + sign * distance
 
-    def part_left(distance: float) -> float:
+    def largest_amplitude_at(distance: float) -> float:
+        """Return the upper limit on the amplitude s; infinite if the levels carry no information on it."""
         candidates = screen_starts(levels, fit, [start.with_value(name, strength_at(distance))])
         return max(candidates[0].size, 0.0) + quantile * candidates[0].stderr if candidates else np.inf
 
     low, high = effect.bounds(levels.scales)[0]
+    # The limit lies between `inside`, which is not excluded, and `outside`, which is excluded or the bound.
     inside, outside = 0.0, abs((low if sign < 0 else high) - effect.vanishes_at)
     trial = abs(start.values[0] - effect.vanishes_at)
-    if is_clip:
+    if vanishes_at_infinity:
         inside, outside, trial = 1 / high, 1 / low, 1 / start.values[0]
-    is_excluded = False
+    has_excluded = False
     for _ in range(LIMIT_TRIALS):
-        part = part_left(trial)
-        inside, outside = (inside, trial) if part < 1 else (trial, outside)
-        is_excluded |= part < 1
+        amplitude = largest_amplitude_at(trial)
+        inside, outside = (inside, trial) if amplitude < 1 else (trial, outside)
+        has_excluded |= amplitude < 1
         if outside - inside < LIMIT_ACCURACY * outside:
             break
-        # A change in proportion to the distance has its limit here; a bit beyond, so that the other end is met.
-        trial *= part * (1 + LIMIT_ACCURACY / 3 * np.sign(part - 1))
+        # If the change is proportional to the distance, the limit is at trial × amplitude. The next trial is slightly
+        # past it, so that the limit is bracketed from the other side.
+        trial *= amplitude * (1 + LIMIT_ACCURACY / 3 * np.sign(amplitude - 1))
         if not inside < trial < outside:
-            trial = 0.5 * (inside + outside) if is_excluded else outside
-    return float(strength_at(outside)) if is_excluded else float("nan")
+            trial = 0.5 * (inside + outside) if has_excluded else outside
+    return float(strength_at(outside)) if has_excluded else float("nan")

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg, ndimage, optimize
 
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
-from spotcheck.discrepancy.evaluation import columns_of, evaluate, map_batches
+from spotcheck.discrepancy.evaluation import differentiate_readings, evaluate, map_batches
 from spotcheck.discrepancy.evidence import MANY_SITES
 from spotcheck.discrepancy.findings import LearnedLight
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS
@@ -254,7 +254,7 @@ def draw_by_sites(fit: JointFit, rng: np.random.Generator) -> np.ndarray:
         for frame in range(batch.start, batch.stop):
             evaluation = evaluate(model, fit.pixels, slice(frame, frame + 1), with_slopes=False)
             # A column holds the derivatives of mean and variance of the readings by one fitted parameter.
-            parameter_scores = [evaluation.score(column) for column in columns_of(model, evaluation)]
+            parameter_scores = [evaluation.score(column) for column in differentiate_readings(model, evaluation)]
             scores.append((ShapeSums(model, evaluation).score(), parameter_scores))
         return scores
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.evaluation import Column, Evaluation, columns_of, evaluate, sum_batches
+from spotcheck.discrepancy.evaluation import Column, Evaluation, differentiate_readings, evaluate, sum_batches
 from spotcheck.discrepancy.frames import CENTRE_X, SPOT_PARAMETERS, Pixels
 from spotcheck.discrepancy.shape_grid import BlockFactor
 from spotcheck.discrepancy.shape_sums import ShapeSums
@@ -162,7 +162,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     def sum_batch(batch: slice) -> tuple[Any, ...]:
         """Return the sums over the pixels of some frames; fill their columns of `spots_cross`."""
         evaluation = evaluate(model, pixels, batch)
-        columns = columns_of(model, evaluation)
+        columns = differentiate_readings(model, evaluation)
         information, gradient = np.zeros((size, size)), np.zeros(size)
         fill_equations(evaluation, columns, batch.start, information, gradient)
         used = evaluation.weight > 0

@@ -10,7 +10,7 @@ from spotcheck.discrepancy.evaluation import (
     SENSOR,
     Column,
     Evaluation,
-    columns_of,
+    differentiate_readings,
     evaluate,
     map_batches,
     stages_of,
@@ -103,7 +103,7 @@ def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], by: Projection) -
 
     def of_batch(part: slice) -> np.ndarray:
         at = evaluate(model, fit.pixels, part)
-        fitted = columns_of(model, at)
+        fitted = differentiate_readings(model, at)
         light = None if by.of_shape is None else ShapeSums(model, at).values(by.of_shape)
         sector, ring = divide_spot(at)
         number = np.arange(len(at.weight))[:, None, None]
