@@ -71,12 +71,12 @@ def test_pictures_of_dark_and_half(folder):
     found = analyse_photon_transfer(measure_levels(dataset, 4095.0), 4095.0)
     levels = select_levels(found)
     assert levels["dark"].kind == "dark" and abs(levels["flat"].mean - 50 - 0.3 * 4000) < 200
-    own = measure_pattern(dataset, levels["dark"])
-    assert own.side == 3 and max(own.image.shape) <= MAX_SIDE and abs(own.image.mean()) < 0.05
-    frequency = np.linspace(0, 0.5, len(own.along_rows))
-    peak = own.along_rows[np.argmin(np.abs(frequency - 1 / 20))]
-    assert peak > 3 * own.noise and own.along_columns[1:].max() < 2.5 * own.noise
-    assert np.sqrt((own.along_rows[1:] ** 2).mean() - own.noise**2) == pytest.approx(4 * np.sqrt(19) / 20, rel=0.15)
+    pattern = measure_pattern(dataset, levels["dark"])
+    assert pattern.side == 3 and max(pattern.image.shape) <= MAX_SIDE and abs(pattern.image.mean()) < 0.05
+    along_rows = pattern.along_rows
+    peak = along_rows.rms[np.argmin(np.abs(along_rows.frequency - 1 / 20))]
+    assert peak > 3 * pattern.noise and pattern.along_columns.rms[1:].max() < 2.5 * pattern.noise
+    assert np.sqrt((along_rows.rms[1:] ** 2).mean() - pattern.noise**2) == pytest.approx(4 * np.sqrt(19) / 20, rel=0.15)
 
 
 def test_they_are_in_the_file(folder):
