@@ -28,7 +28,6 @@ from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect
 
-
 # Rings into which `divide_spot` divides each sector of a spot.
 RINGS = 2
 
@@ -82,20 +81,19 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
     def sum_batch(batch: slice) -> tuple[np.ndarray, ...]:
         """Return the sums of a batch of frames; rests come behind the trials."""
         evaluation = evaluate(model, fit.pixels, batch)
-        sums = ChangeSums(fit, evaluation, batch, count + len(with_rest))
-        with_own_rest = np.zeros(len(with_rest))
+        sums, shared = ChangeSums(fit, evaluation, batch, count + len(with_rest)), np.zeros(len(with_rest))
         for k, applied in enumerate(trials):
             change, rest = change_by_strength(model, applied, evaluation)
             sums.add(k, change)
             if rest is not None:
                 j = with_rest.index(k)
-                with_own_rest[j] = evaluation.information_of(change, rest)
+                shared[j] = evaluation.information_of(change, rest)
                 sums.add(count + j, rest)
-        return sums.cross, sums.alone, with_own_rest, sums.of_shape
+        return sums.cross, sums.alone, shared, sums.of_shape
 
-    cross, alone, between, shape_products = sum_batches(sum_batch, fit.pixels)
-    # First the coefficients of a free shape are projected off: L L' is their information, and `half` is L⁻¹ times their
-    # information with each change.
+    cross, alone, shared, shape_products = sum_batches(sum_batch, fit.pixels)
+    # `shared` is the information between each change and its rest. First the coefficients of a free shape are projected
+    # off: L L' is their information, and `half` is L⁻¹ times their information with each change.
     shape = equations.shape
     half = np.zeros((0, len(alone)))
     if shape is not None:
@@ -107,11 +105,11 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
     if with_rest:
         # Last, each change is projected off its own rest, unless the other nuisance parameters can do the same as it.
         k, j = np.array(with_rest), count + np.arange(len(with_rest))
-        between = between - np.sum(half[:, k] * half[:, j], axis=0) - np.sum(cross[:, k] * absorbed[:, j], axis=0)
+        shared = shared - np.sum(half[:, k] * half[:, j], axis=0) - np.sum(cross[:, k] * absorbed[:, j], axis=0)
         of_rest[k] = np.where(
-            information[j] > SEPARABLE_SHARE * alone[j], between / np.maximum(information[j], 1e-300), 0
+            information[j] > SEPARABLE_SHARE * alone[j], shared / np.maximum(information[j], 1e-300), 0
         )
-        information[k] -= of_rest[k] * between
+        information[k] -= of_rest[k] * shared
         absorbed[:, k] -= of_rest[k] * absorbed[:, j]
         half[:, k] -= of_rest[k] * half[:, j]
     of_shape = None

@@ -61,7 +61,7 @@ def _find_waves(power: np.ndarray, columns: int, sigma: float) -> tuple[tuple[fl
     rows = len(power)
     ky, kx = np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(columns)[None, :]
     wave_number = np.hypot(kx, ky)
-    # Power of the spot's own misfit falls with the wave number: a peak stands out of its ring.
+    # A peak must stand out of the power at the same wave number: misfit of the spot has power in all directions.
     ring = np.floor(wave_number * min(rows, columns) / RING_WIDTH).astype(int)
     background = ndimage.median(power, ring, np.arange(ring.max() + 1))[ring]
     is_allowed = (wave_number > 1 / (LONGEST_WAVE * sigma)) & (wave_number < LARGEST_NUMBER)
