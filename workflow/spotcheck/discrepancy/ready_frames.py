@@ -18,6 +18,7 @@ from spotcheck.discrepancy.analysis import Setting
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, load_frames
 from spotcheck.discrepancy.starting_spots import (
     WIDEST_SPOT,
+    Cell,
     fit_spots,
     has_trusted_fit,
     load_spots,
@@ -40,7 +41,7 @@ class ReadyFrames:
     """The frames of a dataset that are analysed, in the order of `load_frames`."""
 
     frames: FrameSet  # usable frames that show the spot of their site
-    cells: tuple[tuple[tuple[int, ...], Frame], ...]  # index on the grid and row of the manifest of each frame
+    cells: tuple[Cell, ...]  # index on the grid and row of the manifest of each frame
     spots: FrameParameters  # spot of each frame, from which fits start
     setting: Setting  # what the instrument fixes: light, sensor, standard errors of the sensor's numbers
     remarks: tuple[str, ...]  # sentences about parts of the dataset that the verdict does not rest on
@@ -145,7 +146,7 @@ def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
 def find_shared_spots(frames: FrameSet, crop_px: int) -> np.ndarray:
     """Return which frames show the spot of their site [frame].
 
-    Crops are centred on the brightest light. Crops of a site that lie far apart show different things. The frame with
+    Crops are centred on their light. Crops of a site that lie far apart show different things. The frame with
     most neighbours counts as the spot of the site, with these; among equals, that with the longest exposure.
 
     Parameters

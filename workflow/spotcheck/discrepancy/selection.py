@@ -1,4 +1,11 @@
-"""Selection of the effects of the mean image: forward by score tests and refits, backward by the tests of fits."""
+"""Selection of the effects of the mean image: forward by score tests and refits, backward by tests of the fits.
+
+A drop is a decrease of −2 ln L. A free shape is a light shape that is fitted at the nodes of a grid, instead of the
+declared shape of the instrument. A static shape is an effect that changes the light in the same way in every frame. The
+dispersion is the variance of a score over that of independent readings: it exceeds 1 if granular light is common to
+neighbouring pixels. Drops are divided by it before they are compared with thresholds. Thinned pixels are a random
+subset of the pixels, on which candidates are ranked.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,21 +36,27 @@ from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_thinned_evidence
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
 
-# Effort of fits that only rank candidates: decrement of the effects and most iterations.
+# Effort of fits that only rank candidates: Newton decrement of the effects at which they end, and most iterations.
 SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 25
 REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 9
-# Candidates below this part of the best score are not refitted.
+# Candidates whose score test is below this part of the best one are not refitted.
 SCORE_SHARE = 0.05
-# Candidates that are refitted in one step, and starts of one variant among them.
+# Most candidates that are refitted in one step, beside the declared and beside a free shape; most starts of one variant
+# among them.
 MOST_REFITS, MOST_REFITS_BESIDE_SHAPE, MOST_STARTS = 6, 4, 1
-# Variants of one effect among the leading refits, and refits that are fitted to all pixels.
+# Most variants of one effect among them, besides all variants of the best effect; and most refits of which a fit to all
+# pixels is made.
 MOST_VARIANTS, MOST_FULL_FITS = 2, 4
-# Refits that may still win on all pixels: another variant within this drop, another effect with this part of it.
-VARIANT_MARGIN, RIVAL_SHARE = 50.0, 0.9
-# Part of what is demanded of an effect on all pixels that its refit must reach: refits stop early.
-REFIT_SHARE = 0.8
-# Most iterations of a candidate on all pixels.
+# Refits that may still win on all pixels: another variant of the leading effect if its drop is at most this much (or 1
+# %) smaller, another effect if its drop is at least this part of the largest.
+VARIANT_MARGIN, VARIANT_MARGIN_SHARE, RIVAL_SHARE = 50.0, 0.01, 0.9
+# Part of the drop that is demanded beside a free shape's, and of the least gain of any effect, that a refit to thinned
+# pixels must reach before all pixels are fitted: refits stop early.
+REFIT_SHARE, REFIT_GAIN_SHARE = 0.8, 0.5
+# Most iterations of the fit of a candidate to all pixels.
 FULL_ITERATIONS = 25
+# Candidates of a step that the log lists.
+LOGGED_CANDIDATES = 5
 
 Log = Callable[[str], None]
 Update = Callable[[JointFit], JointFit]
@@ -51,20 +64,18 @@ Update = Callable[[JointFit], JointFit]
 
 @dataclass(frozen=True)
 class Refit:
-    """A candidate that was fitted to the thinned pixels."""
+    """The present model with a candidate, fitted to the thinned pixels."""
 
-    candidate: Candidate  # its start
+    candidate: Candidate  # the effect with its start
     model: JointModel  # the fitted model
-    # Drop of −2 ln L, scaled to all pixels and over the light's dispersion, less the price of its parameters.
-    value: float
+    value: float  # drop over the light's dispersion, scaled to all pixels, less `PARAMETER_PRICE` for each parameter
 
     @property
     def is_at_bound(self) -> bool:
-        """Whether a parameter is at its bound, where the variant is much the same as another one."""
+        """Whether a parameter of the effect is at its bound, where the variant acts much as another one does."""
         name = self.candidate.start.effect.name
-        of_effect = [parameter for parameter in self.model.free if parameter.effect == name]
-        values = [(self.model.value_of(parameter), parameter) for parameter in of_effect]
-        return any(value <= parameter.low or value >= parameter.high for value, parameter in values)
+        parameters = [parameter for parameter in self.model.free if parameter.effect == name]
+        return any(not parameter.low < self.model.value_of(parameter) < parameter.high for parameter in parameters)
 
 
 @dataclass(frozen=True)
@@ -72,9 +83,9 @@ class FullFit:
     """The present model with one more effect, fitted to all pixels."""
 
     fit: JointFit  # the fit
-    value: float  # drop of −2 ln L over the light's dispersion, less the price of the effect's parameters
-    place: int  # position of its start among all: variants that tie are taken in this order
-    dispersion: float  # of the effect
+    value: float  # drop over the light's dispersion, less `PARAMETER_PRICE` for each parameter of the effect
+    place: int  # position of its start among all starts: of variants that tie the first one is taken
+    dispersion: float  # dispersion of the effect's score
 
 
 @dataclass(frozen=True)
@@ -82,21 +93,22 @@ class SelectedEffects:
     """Final model of the mean image with the tests of its effects."""
 
     fit: JointFit  # fit to all pixels
-    covariance: np.ndarray  # of the fitted parameters of sensor and effects
-    tests: dict[str, EffectTest]  # by effect
-    # By effect: others in its place, and how much larger −2 ln L is with them.
+    covariance: np.ndarray  # of the fitted parameters of sensor and effects [free parameter, free parameter]
+    tests: dict[str, EffectTest]  # test of each effect by its name
+    # For each effect with rivals, by name: rivals that do as well in its place, and how much larger −2 ln L is with
+    # them.
     rivals: Mapping[str, Mapping[str, float]]
-    # Fit with the free shape before any effect was sought; None beside the declared shape.
+    # Fit with the free shape before any effect was sought; None if the declared shape is kept.
     with_shape: JointFit | None = None
 
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """A fit on the way of the forward selection."""
+    """A fit of the forward selection, with one effect more than the step before it."""
 
-    fit: JointFit  # with the effects so far
-    gain: float  # drop of −2 ln L by the last of them over its dispersion; NaN if unknown
-    # By effect: others that do as well in its place, and how much larger −2 ln L is with them.
+    fit: JointFit  # fit to all pixels with the effects so far
+    gain: float  # drop by the last effect over its dispersion; NaN if unknown
+    # As in `SelectedEffects`, for the effects so far.
     rivals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
@@ -114,22 +126,31 @@ def select_effects(
 ) -> SelectedEffects:
     """Select the effects of the mean image.
 
-    Beside the declared shape each effect must take its share of what a free shape would take, and what is left must be
-    no shape. Else the light is not the declared one, and the effects are sought beside a free shape. Static shapes are
-    among them: one whose size on the sensor does not follow the width of the spot is not the same in every frame.
+    Effects are sought beside the declared light shape first. Each must explain its share of the drop that a free shape
+    would give, and beside all of them a free shape must give none. Otherwise the light does not have the declared
+    shape, and the effects are sought anew beside a free shape. Static shapes are sought there as well: one whose size
+    is fixed on the sensor is not the same in every frame in units of the spot's width, so that a free shape cannot
+    replace it.
 
     Parameters
     ----------
     declared : JointFit
-        Fit with the declared shape; its effects take part from the start.
+        Fit with the declared shape. Effects that it contains take part from the start.
     effects : sequence of Effect
-        Effects of the mean image.
+        Effects of the mean image that are sought.
     scales : EffectScales
-        Scales of the dataset.
+        Typical sizes of the dataset (light, widths, exposures, noise), from which effects derive starting values,
+        bounds and negligible strengths.
     log : callable
         Receives lines of text.
     update : callable
-        Returns a fit with the dispersion that its residuals show; called after each effect that is added.
+        Returns a fit with the dispersion of its pixels estimated anew from its residuals; called after each effect that
+        is added.
+
+    Returns
+    -------
+    SelectedEffects
+        The final fit to all pixels, with the tests of its effects.
     """
     evidence = measure_thinned_evidence(declared)
     log(f"a free shape takes {evidence.drop:.0f}, {100 * evidence.rms:.2f} % of the peak")
@@ -139,6 +160,7 @@ def select_effects(
         if selected.fit is not declared:
             evidence = measure_thinned_evidence(selected.fit)
             log(f"a free shape takes {evidence.drop:.0f} beside them, {100 * evidence.rms:.2f} % of the peak")
+        # The drop is set to 0 if the shape differs less than `SHAPE_FLOOR` from the declared one.
         if evidence.drop == 0:
             return selected
     free = fit_free_shape(declared)
@@ -146,6 +168,7 @@ def select_effects(
     path = select_forward(free, effects, scales, log, update)
     assert path is not None
     last = path[-1] if path[-1].fit.has_converged else finish_step(path[-1])
+    # Structure of the light between the nodes of the free shape; the same fit if the frames show none.
     fine = add_fine_structure(last.fit)
     log(f"structure between the nodes takes {last.fit.deviance - fine.deviance:.0f}")
     if fine is not last.fit:
@@ -156,8 +179,11 @@ def select_effects(
 def select_again(
     selected: SelectedEffects, pixels: Pixels, effects: Sequence[Effect], scales: EffectScales, log: Log, update: Update
 ) -> SelectedEffects:
-    """Return the selection on pixels with another variance: selected effects are tested anew, others sought beside
-    those that pass."""
+    """Return the selection on pixels with another variance or dispersion.
+
+    The effects that are selected already are tested anew, and others are sought beside those that pass. Other
+    parameters are as in `select_effects`.
+    """
     start = SelectionStep(fit_jointly(selected.fit.model, pixels), np.nan)
     passed = eliminate_backward([start], scales, log)
     path = select_forward(passed.fit, effects, scales, log, update)
@@ -175,19 +201,20 @@ def select_forward(
     update: Update,
     shape: ShapeEvidence | None = None,
 ) -> list[SelectionStep] | None:
-    """Return the steps from no effect to the last one.
+    """Return the steps of the forward selection, the first with `fit` as it is.
 
-    `shape` is the evidence for a free shape without effects; with it, the result is None if no effect takes enough of
-    what a free shape takes.
+    `shape` is the evidence for a free shape beside `fit`. The result is None if no effect takes enough of the drop by
+    that shape. With None nothing is demanded, and the result is never None. Other parameters are as in
+    `select_effects`.
     """
     path = [SelectionStep(fit, np.nan)]
-    for number in range(MOST_EFFECTS):
+    for added in range(MOST_EFFECTS):
         present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
-        demand = ShapeDemand(present, number, shape)
+        demand = ShapeDemand(present, added, shape)
         best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log, demand)
         if not demand.is_met_by(best):
-            log(f"a free shape takes {demand.drop:.0f}, no effect enough of it: not the declared light")
+            log(f"a free shape takes {demand.drop_of_shape:.0f}, no effect enough of it: not the declared light")
             return None
         if best is None:
             break
@@ -200,50 +227,53 @@ def select_forward(
 
 
 class ShapeDemand:
-    """What the next effect beside the declared shape must take of what a free shape would take.
+    """Drop that the next effect beside the declared shape must give, as a share of the drop by a free shape.
 
     Parameters
     ----------
     present : JointFit
         Fit with the effects so far.
-    number : int
+    added : int
         Number of effects that the selection has added.
     shape : ShapeEvidence or None
-        Evidence for a free shape without effects; None beside a free shape, where nothing is demanded.
+        Evidence for a free shape without added effects; None beside a free shape, where nothing is demanded.
     """
 
-    def __init__(self, present: JointFit, number: int, shape: ShapeEvidence | None) -> None:
-        self._present, self._number, self._shape = present, number, shape
+    def __init__(self, present: JointFit, added: int, shape: ShapeEvidence | None) -> None:
+        self._present, self._added, self._shape = present, added, shape
 
     @cached_property
-    def drop(self) -> float:
-        """Drop of −2 ln L by a free shape beside the effects so far."""
+    def drop_of_shape(self) -> float:
+        """Drop by a free shape beside the effects so far; 0 if nothing is demanded."""
         if self._shape is None:
             return 0.0
-        return self._shape.drop if self._number == 0 else measure_thinned_evidence(self._present).drop
+        return self._shape.drop if self._added == 0 else measure_thinned_evidence(self._present).drop
 
     def least_drop(self, effect: Effect) -> float:
-        """Return the drop of −2 ln L that an effect must take.
+        """Return the drop over the dispersion that an effect must give.
 
-        A static shape that leaves much of what a free shape takes is no reason to stay with the declared light: it
-        would be named by the explanation of the free shape as well. Noise takes nothing of a shape: it only makes
-        misfit count less.
+        A static shape must leave little for a free shape: if it does not, the declared light is not kept, and the
+        explanation of the free shape names the static shape as well. An effect that acts on the noise explains nothing
+        of a shape, it only makes misfit count less: it must wait until a free shape gives no drop.
         """
         if effect.acts_on_noise:
-            return np.inf if self.drop > 0 else 0.0
-        share = SHAPE_SHARES[min(self._number, len(SHAPE_SHARES) - 1)]
-        return (max(share, EXPLAINED_SHARE) if effect.is_static_shape else share) * self.drop
+            return np.inf if self.drop_of_shape > 0 else 0.0
+        share = SHAPE_SHARES[min(self._added, len(SHAPE_SHARES) - 1)]
+        return (max(share, EXPLAINED_SHARE) if effect.is_static_shape else share) * self.drop_of_shape
 
     def is_met_by(self, best: SelectionStep | None) -> bool:
-        """Whether the next effect takes enough; of no effect nothing more is demanded once one was added."""
+        """Return whether the next effect gives enough.
+
+        Without a next effect (None) the demand is met, unless a free shape gives a drop and no effect was added yet.
+        """
         if best is None:
             return not self.is_unmet()
-        drop = (self._present.deviance - best.fit.deviance) / self._present.pixels.dispersion
-        return drop >= self.least_drop(best.last_effect)
+        drop_of_effect = (self._present.deviance - best.fit.deviance) / self._present.pixels.dispersion
+        return drop_of_effect >= self.least_drop(best.last_effect)
 
     def is_unmet(self) -> bool:
-        """Whether a free shape takes something before any effect was added."""
-        return self._number == 0 and self.drop > 0
+        """Return whether a free shape gives a drop and no effect was added yet."""
+        return self._added == 0 and self.drop_of_shape > 0
 
 
 def add_best_effect(
@@ -251,7 +281,22 @@ def add_best_effect(
 ) -> SelectionStep | None:
     """Return the step with the effect that gains most, or None if none gains enough.
 
-    An effect that takes too little of what a free shape takes, on the thinned pixels, is not fitted to all of them.
+    Candidates are ranked by score tests, then by refits, on the thinned pixels; the best ones are fitted to all pixels.
+
+    Parameters
+    ----------
+    present : JointFit
+        Fit to all pixels with the effects so far.
+    effects : sequence of Effect
+        Effects that it does not contain.
+    thin : Pixels
+        Thinned pixels.
+    scales : EffectScales
+        Typical sizes of the dataset.
+    log : callable
+        Receives lines of text.
+    demand : ShapeDemand
+        What the effect must give; refits far below it are not fitted to all pixels.
     """
     dispersion = present.pixels.dispersion
     ratio = present.pixels.count / thin.count / dispersion

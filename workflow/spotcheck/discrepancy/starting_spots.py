@@ -89,10 +89,8 @@ def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[Cell]) -> Fra
     cells : iterable of (index, Frame)
         Cell of each frame, in the order of `usable_cells`.
     """
-    trusted = _trusted_fits(fits, cells)
-    return _as_parameters(
-        [_spot_by_moments(frames, f) if row is None else row for f, row in enumerate(trusted)], frames
-    )
+    rows = enumerate(_trusted_fits(fits, cells))
+    return _as_parameters([_spot_by_moments(frames, frame) if row is None else row for frame, row in rows], frames)
 
 
 def has_trusted_fit(fits: xr.Dataset, cells: Iterable[Cell]) -> bool:
