@@ -13,15 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from spotcheck.discrepancy.candidates import Candidate, is_unresolved_shape, list_starts, screen_candidates
-from spotcheck.discrepancy.criteria import (
-    EXPLAINED_SHARE,
-    MIN_GAIN,
-    MOST_EFFECTS,
-    PARAMETER_PRICE,
-    SHAPE_SHARES,
-    VARIANT_TIE,
-)
+from spotcheck.discrepancy.candidates import list_starts, screen_candidates
+from spotcheck.discrepancy.criteria import EXPLAINED_SHARE, MOST_EFFECTS, PARAMETER_PRICE, SHAPE_SHARES, VARIANT_TIE
 from spotcheck.discrepancy.evidence import (
     EffectTest,
     assess_effect,
@@ -34,48 +27,25 @@ from spotcheck.discrepancy.fine_structure import add_fine_structure
 from spotcheck.discrepancy.frames import FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_thinned_evidence
-from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
+from spotcheck.discrepancy.refits import Log, Refit, describe_start, least_drop_of, price_of, refit_candidates
+from spotcheck.model.effect import Effect, EffectScales
 
-# Effort of fits that only rank candidates: Newton decrement of the effects at which they end, and most iterations.
+# Effort of the fit to thinned pixels beside which candidates are ranked: Newton decrement of the effects at which it
+# ends, and most iterations.
 SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 25
-REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 9
-# Candidates whose score test is below this part of the best one are not refitted.
-SCORE_SHARE = 0.05
-# Most candidates that are refitted in one step, beside the declared and beside a free shape; most starts of one variant
-# among them.
-MOST_REFITS, MOST_REFITS_BESIDE_SHAPE, MOST_STARTS = 6, 4, 1
-# Most variants of one effect among them, besides all variants of the best effect; and most refits of which a fit to all
-# pixels is made.
-MOST_VARIANTS, MOST_FULL_FITS = 2, 4
-# Refits that may still win on all pixels: another variant of the leading effect if its drop is at most this much (or 1
-# %) smaller, another effect if its drop is at least this part of the largest.
+# Most refits of which a fit to all pixels is made, and most iterations of that fit.
+MOST_FULL_FITS, FULL_ITERATIONS = 4, 25
+# Refits that may still win on all pixels: another variant of the leading effect if its drop is at most this much
+# smaller than the largest, or at most this part of it; another effect if its drop is at least the last part of the
+# largest.
 VARIANT_MARGIN, VARIANT_MARGIN_SHARE, RIVAL_SHARE = 50.0, 0.01, 0.9
-# Part of the drop that is demanded beside a free shape's, and of the least gain of any effect, that a refit to thinned
-# pixels must reach before all pixels are fitted: refits stop early.
-REFIT_SHARE, REFIT_GAIN_SHARE = 0.8, 0.5
-# Most iterations of the fit of a candidate to all pixels.
-FULL_ITERATIONS = 25
-# Candidates of a step that the log lists.
+# Parts of the least gain of an effect, and of what is demanded of it beside a free shape, that its refit must reach
+# before all pixels are fitted: refits stop early.
+REFIT_GAIN_SHARE, REFIT_SHARE = 0.5, 0.8
+# Candidates of each step that the log lists.
 LOGGED_CANDIDATES = 5
 
-Log = Callable[[str], None]
 Update = Callable[[JointFit], JointFit]
-
-
-@dataclass(frozen=True)
-class Refit:
-    """The present model with a candidate, fitted to the thinned pixels."""
-
-    candidate: Candidate  # the effect with its start
-    model: JointModel  # the fitted model
-    value: float  # drop over the light's dispersion, scaled to all pixels, less `PARAMETER_PRICE` for each parameter
-
-    @property
-    def is_at_bound(self) -> bool:
-        """Whether a parameter of the effect is at its bound, where the variant acts much as another one does."""
-        name = self.candidate.start.effect.name
-        parameters = [parameter for parameter in self.model.free if parameter.effect == name]
-        return any(not parameter.low < self.model.value_of(parameter) < parameter.high for parameter in parameters)
 
 
 @dataclass(frozen=True)
@@ -298,47 +268,33 @@ def add_best_effect(
     demand : ShapeDemand
         What the effect must give; refits far below it are not fitted to all pixels.
     """
-    dispersion = present.pixels.dispersion
-    ratio = present.pixels.count / thin.count / dispersion
+    # Of drops on the thinned pixels, to scale them to all pixels.
+    ratio = present.pixels.count / thin.count / present.pixels.dispersion
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     if demand.is_unmet():
         effects = [effect for effect in effects if not effect.acts_on_noise]
     candidates = screen_candidates(thinned, list_starts(effects, scales))
-    log("screen " + ", ".join(f"{_text(c.start)} {c.score * ratio:.0f}" for c in candidates[:5]))
+    leaders = candidates[:LOGGED_CANDIDATES]
+    log("screen " + ", ".join(f"{describe_start(c.start)} {c.score * ratio:.0f}" for c in leaders))
     refits = refit_candidates(thinned, candidates, present, scales, log)
-    fits: dict[str, FullFit] = {}  # the best of each effect
-    best = ""
+    fits: dict[str, FullFit] = {}  # best fit of each effect, by name
+    best = ""  # name of the best effect so far
     for refit in refits[:MOST_FULL_FITS]:
-        name, candidate = refit.candidate.start.effect.name, refit.candidate
-        least = least_drop_of(candidate, present)
-        if refit.value < least / 2 or is_negligible(refit.model.effect_named(name), scales):
+        if not may_win(refit, refits[0], best) or not is_worth_fitting(refit, present, scales, demand):
             continue
-        if best:
-            if name == best and refit.is_at_bound:
-                continue
-            margin = max(VARIANT_MARGIN, 0.01 * refits[0].value)
-            if refit.value < (refits[0].value - margin if name == best else RIVAL_SHARE * refits[0].value):
-                continue
-        if refit.value < REFIT_SHARE * demand.least_drop(candidate.start.effect):
+        full = fit_all_pixels(refit, thinned, present, scales, log)
+        if full is None:
             continue
-        start = transfer_refit(refit.model, thinned.model, present.model)
-        least_value = least - PARAMETER_PRICE
-        target = present.deviance - (least_value + price_of(candidate)) * dispersion
-        full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
-        value = (present.deviance - full.deviance) / dispersion - price_of(candidate)
-        log(f"  {_text(candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
-        if not full.has_converged or value < least_value or is_negligible(full.model.effect_named(name), scales):
-            continue
+        name = refit.effect_name
         known = fits.get(name)
-        is_tied = known is not None and abs(value - known.value) < VARIANT_TIE
-        if known is None or (candidate.place < known.place if is_tied else value > known.value):
-            of_effect = float(present.pixels.dispersion_of(candidate.field_share))
-            fits[name] = FullFit(full, value, candidate.place, of_effect)
+        is_tied = known is not None and abs(full.value - known.value) < VARIANT_TIE
+        if known is None or (full.place < known.place if is_tied else full.value > known.value):
+            fits[name] = full
         best = max(fits, key=lambda name: fits[name].value)
     if not best:
         return None
     best = find_special_case(best, fits, least_gain(present.model))
-    # An effect that has the leader as a special case fits as well in any case: it is no rival.
+    # An effect that has the best one as a special case fits as well in any case: it is no rival.
     general = {effect.name for effect in effects if best in effect.special_cases}
     behind = {name: max(fits[best].value - fits[name].value, 0.0) for name in fits if name not in {best, *general}}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
@@ -346,10 +302,54 @@ def add_best_effect(
     return SelectionStep(fits[best].fit, gain, {best: rivals} if rivals else {})
 
 
-def find_special_case(name: str, fits: Mapping[str, FullFit], least_drop: float) -> str:
-    """Return the name of the special case of an effect that fits as well, if there is one, else its own name.
+def may_win(refit: Refit, leader: Refit, best: str) -> bool:
+    """Return whether a refit may give more on all pixels than the best effect so far ("" for none).
 
-    The strength of an effect is what it has beyond its special case: it must lower −2 ln L by `least_drop` itself.
+    `leader` is the refit with the largest drop on the thinned pixels.
+    """
+    if not best:
+        return True
+    if refit.effect_name != best:
+        return refit.value >= RIVAL_SHARE * leader.value
+    margin = max(VARIANT_MARGIN, VARIANT_MARGIN_SHARE * leader.value)
+    return not refit.is_at_bound and refit.value >= leader.value - margin
+
+
+def is_worth_fitting(refit: Refit, present: JointFit, scales: EffectScales, demand: ShapeDemand) -> bool:
+    """Return whether a refit reaches its parts of the least gain and of the demand, with a strength that matters."""
+    if refit.value < REFIT_GAIN_SHARE * least_drop_of(refit.candidate, present):
+        return False
+    is_enough = refit.value >= REFIT_SHARE * demand.least_drop(refit.candidate.start.effect)
+    return is_enough and not is_negligible(refit.model.effect_named(refit.effect_name), scales)
+
+
+def fit_all_pixels(
+    refit: Refit, thinned: JointFit, present: JointFit, scales: EffectScales, log: Log
+) -> FullFit | None:
+    """Return the fit of a refit's model to all pixels; None if it fails, gains too little or has no strength.
+
+    `thinned` and `present` are fits of the model without the effect, to the thinned and to all pixels.
+    """
+    candidate, dispersion = refit.candidate, present.pixels.dispersion
+    start = transfer_refit(refit.model, thinned.model, present.model)
+    # The first parameter is not charged for: the least gain contains its price.
+    least_value = least_drop_of(candidate, present) - PARAMETER_PRICE
+    target = present.deviance - (least_value + price_of(candidate)) * dispersion
+    fit = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
+    value = (present.deviance - fit.deviance) / dispersion - price_of(candidate)
+    log(f"  {describe_start(candidate.start)}: {value:.0f} on all pixels, converged {fit.has_converged}")
+    if not fit.has_converged or value < least_value:
+        return None
+    if is_negligible(fit.model.effect_named(refit.effect_name), scales):
+        return None
+    return FullFit(fit, value, candidate.place, float(present.pixels.dispersion_of(candidate.field_share)))
+
+
+def find_special_case(name: str, fits: Mapping[str, FullFit], least_drop: float) -> str:
+    """Return the name of a special case of an effect that fits nearly as well, else the effect's own name.
+
+    The strength of an effect is what it has beyond its special case: it must give a drop of `least_drop` itself.
+    `fits` are the best fits by the names of effects.
     """
     for other in fits[name].fit.model.effect_named(name).effect.special_cases:
         if other in fits:
@@ -360,80 +360,32 @@ def find_special_case(name: str, fits: Mapping[str, FullFit], least_drop: float)
 
 
 def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) -> JointModel:
-    """Return a start on all pixels for a model that was fitted to thinned ones.
+    """Return a start on all pixels for a model that was fitted to the thinned pixels.
 
-    Spots and shape change from those of the present model by what the new effect changed on the thinned pixels: the
-    noise of these cancels.
+    Spots and shape are those of the present model, plus what the new effect changed on the thinned pixels. The noise of
+    the thinned pixels cancels in this difference.
+
+    Parameters
+    ----------
+    refit : JointModel
+        Model with the effect, fitted to the thinned pixels.
+    thinned, present : JointModel
+        Model without the effect, fitted to the thinned and to all pixels.
     """
     rows = zip(refit.spots.as_rows(), thinned.spots.as_rows(), present.spots.as_rows(), strict=True)
-    start = replace(refit, spots=FrameParameters(*(whole + new - old for new, old, whole in rows)))
+    start = replace(
+        refit, spots=FrameParameters(*(whole + with_effect - without for with_effect, without, whole in rows))
+    )
     if refit.grid is None:
         return start
     return start.with_coefficients(present.coefficients + refit.coefficients - thinned.coefficients)
 
 
-def least_drop_of(candidate: Candidate, present: JointFit) -> float:
-    """Return the drop of −2 ln L over the light's dispersion that is the least gain over the candidate's own."""
-    pixels = present.pixels
-    return least_gain(present.model) * float(pixels.dispersion_of(candidate.field_share)) / pixels.dispersion
-
-
-def price_of(candidate: Candidate) -> float:
-    """Return what a candidate pays in −2 ln L for its parameters."""
-    start = candidate.start
-    return PARAMETER_PRICE * len(start.effect.parameters_of(start.variant))
-
-
-def refit_candidates(
-    thinned: JointFit, candidates: Sequence[Candidate], present: JointFit, scales: EffectScales, log: Log
-) -> list[Refit]:
-    """Refit the leading candidates and all variants of the best effect; the best first.
-
-    `present` is the fit to all pixels, to which values are scaled.
-    """
-    ratio = present.pixels.count / thinned.pixels.count / present.pixels.dispersion
-    refits: list[Refit] = []
-    tried: dict[tuple, int] = {}
-    most = MOST_REFITS if thinned.model.grid is None else MOST_REFITS_BESIDE_SHAPE
-    for candidate in candidates:
-        start = candidate.start
-        variant = (start.effect.name, start.variant)
-        variants = len({key for key in tried if key[0] == start.effect.name} - {variant})
-        if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= most:
-            break
-        if (
-            candidate.score * ratio < least_drop_of(candidate, present)
-            or tried.get(variant, 0) >= MOST_STARTS
-            or variants >= MOST_VARIANTS
-            or is_unresolved_shape(thinned, candidate)
-        ):
-            continue
-        refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
-        tried[variant] = tried.get(variant, 0) + 1
-    if not refits:
-        return []
-    leader = max(refits, key=lambda refit: refit.value).candidate.start.effect.name
-    for candidate in candidates:
-        variant = (candidate.start.effect.name, candidate.start.variant)
-        if variant[0] == leader and variant not in tried and candidate.score * ratio > MIN_GAIN:
-            refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
-            tried[variant] = 1
-    return sorted(refits, key=lambda refit: -refit.value)
-
-
-def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scales: EffectScales, log: Log) -> Refit:
-    """Fit the present model with a candidate to the thinned pixels."""
-    fit = fit_jointly(
-        thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
-        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
-    )  # fmt: skip
-    drop = (thinned.deviance - fit.deviance) * ratio
-    log(f"    {_text(candidate.start)}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")
-    return Refit(candidate, fit.model, drop - price_of(candidate))
-
-
 def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log: Log) -> SelectedEffects:
-    """Remove effects that fail their test, the worst first, until all pass."""
+    """Remove effects that fail their test, the worst first, and refit, until all pass.
+
+    `path` holds the steps of the forward selection. If the last effect of a path fails, the step before it is taken.
+    """
     path = list(path)
     if not path[-1].fit.has_converged:
         path[-1] = finish_step(path[-1])
@@ -442,6 +394,7 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
         fit = path[-1].fit
         covariance = estimate_covariance(fit)
         names = fit.model.effect_names
+        # The gain of the last effect is known from the fit without it, if that has converged.
         known = {names[-1]: path[-1].gain} if len(path) > 1 and path[-2].fit.has_converged else {}
         tests = {name: assess_effect(fit, name, covariance, scales, known.get(name)) for name in names}
         for name, test in tests.items():
@@ -458,24 +411,19 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
 
 
 def finish_step(step: SelectionStep) -> SelectionStep:
-    """Return a step whose fit is carried on to convergence."""
+    """Return a step with its fit continued until it converges."""
     return replace(step, fit=fit_jointly(step.fit.model, step.fit.pixels))
 
 
 def withdraw_effects(
     selected: SelectedEffects, names: Sequence[str], scales: EffectScales, log: Log
 ) -> SelectedEffects:
-    """Return the selection without some effects, those that are left fitted and tested anew."""
+    """Return the selection without the named effects; the remaining ones are fitted and tested anew."""
     model = selected.fit.model
-    present = [name for name in names if name in model.effect_names]
-    if not present:
+    removed = [name for name in names if name in model.effect_names]
+    if not removed:
         return selected
-    for name in present:
+    for name in removed:
         model = model.without_effect(name)
     path = [SelectionStep(fit_jointly(model, selected.fit.pixels), np.nan)]
     return replace(eliminate_backward(path, scales, log), with_shape=selected.with_shape)
-
-
-def _text(start: AppliedEffect) -> str:
-    values = ", ".join(f"{name} {value:.4g}" for name, value in start.parameters.items())
-    return f"{start.effect.name} {start.variant.value} ({values})"
