@@ -268,14 +268,14 @@ def add_best_effect(
     demand : ShapeDemand
         What the effect must give; refits far below it are not fitted to all pixels.
     """
-    # Of drops on the thinned pixels, to scale them to all pixels.
+    # Scale of drops on the thinned pixels to drops on all pixels over the dispersion.
     ratio = present.pixels.count / thin.count / present.pixels.dispersion
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     if demand.is_unmet():
         effects = [effect for effect in effects if not effect.acts_on_noise]
     candidates = screen_candidates(thinned, list_starts(effects, scales))
-    leaders = candidates[:LOGGED_CANDIDATES]
-    log("screen " + ", ".join(f"{describe_start(c.start)} {c.score * ratio:.0f}" for c in leaders))
+    logged = (f"{describe_start(c.start)} {c.score * ratio:.0f}" for c in candidates[:LOGGED_CANDIDATES])
+    log("screen " + ", ".join(logged))
     refits = refit_candidates(thinned, candidates, present, scales, log)
     fits: dict[str, FullFit] = {}  # best fit of each effect, by name
     best = ""  # name of the best effect so far
@@ -317,10 +317,10 @@ def may_win(refit: Refit, leader: Refit, best: str) -> bool:
 
 def is_worth_fitting(refit: Refit, present: JointFit, scales: EffectScales, demand: ShapeDemand) -> bool:
     """Return whether a refit reaches its parts of the least gain and of the demand, with a strength that matters."""
-    if refit.value < REFIT_GAIN_SHARE * least_drop_of(refit.candidate, present):
+    effect = refit.model.effect_named(refit.effect_name)
+    if refit.value < REFIT_GAIN_SHARE * least_drop_of(refit.candidate, present) or is_negligible(effect, scales):
         return False
-    is_enough = refit.value >= REFIT_SHARE * demand.least_drop(refit.candidate.start.effect)
-    return is_enough and not is_negligible(refit.model.effect_named(refit.effect_name), scales)
+    return refit.value >= REFIT_SHARE * demand.least_drop(effect.effect)
 
 
 def fit_all_pixels(
@@ -332,15 +332,14 @@ def fit_all_pixels(
     """
     candidate, dispersion = refit.candidate, present.pixels.dispersion
     start = transfer_refit(refit.model, thinned.model, present.model)
-    # The first parameter is not charged for: the least gain contains its price.
+    # The least gain is that of an effect with one parameter; each further one must pay its price.
     least_value = least_drop_of(candidate, present) - PARAMETER_PRICE
     target = present.deviance - (least_value + price_of(candidate)) * dispersion
     fit = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
     value = (present.deviance - fit.deviance) / dispersion - price_of(candidate)
     log(f"  {describe_start(candidate.start)}: {value:.0f} on all pixels, converged {fit.has_converged}")
-    if not fit.has_converged or value < least_value:
-        return None
-    if is_negligible(fit.model.effect_named(refit.effect_name), scales):
+    applied = fit.model.effect_named(refit.effect_name)
+    if not fit.has_converged or value < least_value or is_negligible(applied, scales):
         return None
     return FullFit(fit, value, candidate.place, float(present.pixels.dispersion_of(candidate.field_share)))
 
@@ -372,10 +371,8 @@ def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) 
     thinned, present : JointModel
         Model without the effect, fitted to the thinned and to all pixels.
     """
-    rows = zip(refit.spots.as_rows(), thinned.spots.as_rows(), present.spots.as_rows(), strict=True)
-    start = replace(
-        refit, spots=FrameParameters(*(whole + with_effect - without for with_effect, without, whole in rows))
-    )
+    spots = present.spots.as_rows() + refit.spots.as_rows() - thinned.spots.as_rows()
+    start = replace(refit, spots=FrameParameters(*spots))
     if refit.grid is None:
         return start
     return start.with_coefficients(present.coefficients + refit.coefficients - thinned.coefficients)
