@@ -188,6 +188,7 @@ def select_forward(
             return None
         if best is None:
             break
+        # An effect whose strength differs between parts of the spot by more than it gains has a wrong formula.
         cells = compare_cells(best.fit, best.last_effect.name)
         if cells.q > max(best.gain, cells.limit(best.gain)):
             log(f"  cells disagree about {best.last_effect.name} by more than it gains: Q {cells.q:.0f}")
