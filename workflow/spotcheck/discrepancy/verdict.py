@@ -185,7 +185,7 @@ def describe_effect(effect: NamedEffect) -> dict[str, Any]:
 
 
 def describe_shape(light: LearnedLight) -> dict[str, Any]:
-    """Return the row of a learned light shape in `effects`: its power, and the azimuthal order with the largest share."""
+    """Return the row of a learned light shape in `effects`: its power, and the azimuthal order with most of it."""
     order = float(np.argmax(light.orders)) if any(light.orders) else np.nan
     z = light.power / light.stderr if light.stderr > 0 else np.nan
     values = ((light.power, light.stderr), (order, np.nan))

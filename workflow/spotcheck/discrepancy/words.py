@@ -17,7 +17,7 @@ LEAST_PERCENT = 0.001
 # Percentages from this one to 100 have three digits and are rounded down [%].
 NEARLY_ALL = 90
 # Smaller p-values are written as "p < 0.0001".
-LEAST_PROBABILITY = 1e-4
+LEAST_SHOWN_P = 1e-4
 # Digits of a number that is kept as it is: all that a float has.
 ALL_DIGITS = 15
 
@@ -45,7 +45,7 @@ def percent_text(part: float) -> str:
 
 def probability_text(p: float) -> str:
     """Return the text of a p-value with two digits, such as `p = 0.32`, or `p < 0.0001`."""
-    return f"p = {p:.2g}" if p >= LEAST_PROBABILITY else "p < 0.0001"
+    return f"p = {p:.2g}" if p >= LEAST_SHOWN_P else "p < 0.0001"
 
 
 def condition_text(condition: Mapping[str, Any]) -> str:

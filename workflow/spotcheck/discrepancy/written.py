@@ -40,7 +40,7 @@ def write_verdict(
     path : path
         File to write. An existing file is kept if the verdict is refused.
     code : str
-        Version of the code, for the provenance that `store.write_text` keeps.
+        Digest of the code, for the provenance that `store.write_text` keeps; "" for no provenance.
     inputs : sequence of path
         Files from which the verdict follows, for the same.
 
