@@ -26,6 +26,8 @@ from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMome
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import FreeParameter, JointModel
 
+# Spot parameters of a frame: ln peak, ln σ, x, y. They are the first unknowns of a fit, frame after frame.
+SPOT_PARAMETERS = 4
 # Pixels of the frames that are evaluated together: their arrays stay in the cache of a core.
 BATCH_PIXELS = 100_000
 # Steps of forward differences: ln σ [1] and centre [σ]; other parameters in terms of their scale. The score of a step h

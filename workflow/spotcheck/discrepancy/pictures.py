@@ -153,7 +153,7 @@ def draw_pictures(
     _add_rings(content, grid, geometry, sums[BEFORE])
     if detection is not None:
         names = [f"{test.name}: {test.where}" if test.where else test.name for test in detection.tests]
-        content.coords["part"] = ("part", np.array(names, dtype=str), {"units": "1", "long_name": "test of detection"})
+        _put(content, "part", ("part",), np.array(names, dtype=str), "1", "test of detection")
         z = [test.z for test in detection.tests]
         _put(content, "part_z", ("part",), z, "1", "how odd its places are together")
     return content
@@ -191,7 +191,10 @@ def _block_middles(side: int, count: int) -> np.ndarray:
 
 
 def _put(content: xr.Dataset, name: str, dims: tuple[str, ...], values: Any, units: str, long_name: str) -> None:
-    """Add a variable with its attributes; floating-point arrays of 3 or more dimensions get single precision."""
+    """Add a variable with its attributes, or a coordinate if it has the name of its dimension.
+
+    Floating-point arrays of 3 or more dimensions are stored in single precision.
+    """
     values = np.asarray(values)
     is_image = values.dtype.kind == "f" and values.ndim > 2
     content[name] = (dims, values.astype("f4") if is_image else values, {"units": units, "long_name": long_name})
@@ -220,8 +223,8 @@ def _add_maps(content: xr.Dataset, grid: ConditionGrid, geometry: Geometry, sums
         ("block_y", "rows", first.residual.shape[1]),
         ("block_x", "columns", first.residual.shape[2]),
     ):
-        attributes = {"units": "pixel", "long_name": f"middle of a block of pixels along {along}"}
-        content.coords[axis] = (axis, _block_middles(geometry.side, count), attributes)
+        middles, text = _block_middles(geometry.side, count), f"middle of a block of pixels along {along}"
+        _put(content, axis, (axis,), middles, "pixel", text)
     dims = (*grid.dims, "block_y", "block_x")
     images = {"reading": (first.reading / _count_pixels(first), "mean over the frames that were searched")}
     for stage, blocks in sums.items():
@@ -239,8 +242,7 @@ def _add_profiles(content: xr.Dataset, grid: ConditionGrid, geometry: Geometry, 
     """Add mean residuals and their standard errors by condition and distance from the spot, in steps of a block."""
     shape = sums[BEFORE].residual.shape
     edges = geometry.side * np.arange(max(min(shape[1:]) // 2, 1) + 1)
-    attributes = {"units": "pixel", "long_name": "distance from the spot's centre"}
-    content.coords["radius"] = ("radius", (edges[:-1] + edges[1:]) / 2, attributes)
+    _put(content, "radius", ("radius",), (edges[:-1] + edges[1:]) / 2, "pixel", "distance from the spot's centre")
     rings = len(edges) - 1
     ring = np.digitize(np.hypot(geometry.dx, geometry.dy), edges) - 1
     is_inside = ring < rings
@@ -303,7 +305,7 @@ def _add_rings(content: xr.Dataset, grid: ConditionGrid, geometry: Geometry, blo
         power = np.array([order_power(order) for order in range(1, ORDERS + 1)])
     power = np.where(np.isfinite(power), power, 0.0)
     azimuthal = np.where(np.isfinite(radial), z_of_strongest(power), np.nan)
-    content.coords["ring"] = ("ring", np.arange(rings), {"units": "1", "long_name": "ring around the spot's centre"})
+    _put(content, "ring", ("ring",), np.arange(rings), "1", "ring around the spot's centre")
     _put(content, "ring_low", ("ring",), np.array(RINGS), "1", "inner radius in widths sigma_g")
     _put(content, "ring_high", ("ring",), [*RINGS[1:], np.nan], "1", "outer radius in widths sigma_g; missing: open")
     dims = (*grid.dims, "ring")

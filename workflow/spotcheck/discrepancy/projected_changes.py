@@ -106,9 +106,8 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
         # Last, each change is projected off its own rest, unless the other nuisance parameters can do the same as it.
         k, j = np.array(with_rest), count + np.arange(len(with_rest))
         shared = shared - np.sum(half[:, k] * half[:, j], axis=0) - np.sum(cross[:, k] * absorbed[:, j], axis=0)
-        of_rest[k] = np.where(
-            information[j] > SEPARABLE_SHARE * alone[j], shared / np.maximum(information[j], 1e-300), 0
-        )
+        is_separable = information[j] > SEPARABLE_SHARE * alone[j]
+        of_rest[k] = np.where(is_separable, shared / np.maximum(information[j], 1e-300), 0)
         information[k] -= of_rest[k] * shared
         absorbed[:, k] -= of_rest[k] * absorbed[:, j]
         half[:, k] -= of_rest[k] * half[:, j]
@@ -135,14 +134,13 @@ def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], projection: Proje
     score, information : array [trial, frame, place]
         Places are `SECTORS` sectors times `RINGS` rings about the centre of the spot.
     """
-    model = fit.model
+    model, of_shape = fit.model, projection.of_shape
 
     def sum_batch(batch: slice) -> np.ndarray:
         """Return score and information [2, trial, frame, place] of a batch of frames."""
         evaluation = evaluate(model, fit.pixels, batch)
-        fitted, shape_changes = columns_of(model, evaluation), None
-        if projection.of_shape is not None:
-            shape_changes = ShapeSums(model, evaluation).values(projection.of_shape)
+        fitted = columns_of(model, evaluation)
+        shape_changes = None if of_shape is None else ShapeSums(model, evaluation).values(of_shape)
         sector, ring = divide_spot(evaluation)
         shape = evaluation.weight.shape
         frame = np.arange(shape[0])[:, None, None]

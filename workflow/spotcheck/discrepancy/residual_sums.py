@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage, sparse
 
-from spotcheck.discrepancy.evaluation import THREADS
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, THREADS
 from spotcheck.discrepancy.fields import MOST_CANVAS
 from spotcheck.discrepancy.residuals import ResidualImages
 
-# Unknowns of the spot of a frame: ln peak, ln σ, x and y.
-SPOT_PARAMETERS = 4
 # Side of blocks [px]; bounds of the rings about the centre [σ of the spot]; sectors of a ring; ranges of light, which
 # have equal widths in the root of the light over the brightest peak.
 BLOCK_PX, RING_BOUNDS, SECTORS, LEVELS = 8, (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0), 8, 12
@@ -173,7 +171,7 @@ def standardize(images: ResidualImages, frame: int | np.integer) -> Standardized
     sigma = np.exp(spots.log_sigma[frame])
     v = ((images.top[frame] + np.arange(rows) - spots.y[frame]) / sigma)[:, None].astype(np.float32)
     u = ((images.left[frame] + np.arange(columns) - spots.x[frame]) / sigma)[None, :].astype(np.float32)
-    # Where readings do not follow the light, as in saturation, the light is that of a Gaussian.
+    # The light of a Gaussian is taken for readings that do not follow the light, as in saturation.
     gaussian = np.exp(spots.log_peak[frame]) * np.exp(-(v**2) / 2) * np.exp(-(u**2) / 2)
     light = np.where(slope > LEAST_SLOPE, spot / np.maximum(slope, LEAST_SLOPE), gaussian)
     by_y, by_x = (ndimage.correlate1d(light, DERIVATIVE, axis, mode="nearest") for axis in (0, 1))

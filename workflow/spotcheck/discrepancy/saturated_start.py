@@ -15,8 +15,8 @@ from spotcheck.discrepancy.criteria import MIN_GAIN, PARAMETER_PRICE
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.residuals import measure_residuals
+from spotcheck.discrepancy.validation import is_field
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep, keyword_names_of
-from spotcheck.model.stage import Stage
 
 # Range [highest reading] and number of bins of the histogram of readings.
 HISTOGRAM_RANGE, BINS = (0.3, 1.1), 120
@@ -163,11 +163,7 @@ def list_granular(effect: Effect, contrast: float, scales: EffectScales) -> list
 
     Granular light is a random field that multiplies the light; `contrast` is its relative standard deviation.
     """
-    variants = [
-        variant
-        for variant, steps in effect.variants.items()
-        if steps and all(isinstance(step, RandomStep) and step.stage is Stage.SPECKLE_FIELD for step in steps)
-    ]
+    variants = [variant for variant in effect.variants if is_field(AppliedEffect(effect, variant, ()))]
     if not variants:
         return []
     general = max(variants, key=lambda variant: len(effect.parameters_of(variant)))

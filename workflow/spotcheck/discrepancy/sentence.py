@@ -67,7 +67,7 @@ def summarize_verdict(document: Mapping[str, Any]) -> str:
     elif status is Status.CONSISTENT:
         lines = [opening, _join(_describe_law(document), _describe_gain(document)), _point_to_limits(document)]
     elif status is Status.UNKNOWN:
-        closing = _join(_locate_residual(document), _describe_remainder(document), _describe_gain(document))
+        closing = _join(_locate_residual(document), _as_sentence(_say_remainder(document)), _describe_gain(document))
         lines = [opening, _describe_unknown(document), closing]
     else:
         sentences = (_describe_gap(document), _describe_advice(document), _describe_shift(document))
@@ -145,7 +145,7 @@ def _describe_effects(document: Mapping[str, Any]) -> str:
     if unrivalled[IN_FULL:]:
         texts.append(f"Further effects: {list_text([_name_effect(effect) for effect in unrivalled[IN_FULL:]])}")
     texts += [either_text(effect, document) for effect in rivalled]
-    return " ".join(f"{text[0].upper()}{text[1:]}." for text in texts)
+    return _join(*map(_as_sentence, texts))
 
 
 def effect_text(effect: Mapping[str, Any], document: Mapping[str, Any]) -> str:
@@ -242,12 +242,6 @@ def _describe_gap(document: Mapping[str, Any]) -> str:
     return f"{text} No other effect {'is significant' if shape and is_single else 'does as well'}."
 
 
-def _describe_remainder(document: Mapping[str, Any]) -> str:
-    """Return how much of the mean image remains unexplained, as a sentence."""
-    remainder = _say_remainder(document)
-    return f"{remainder[0].upper()}{remainder[1:]}." if remainder else ""
-
-
 def _say_remainder(document: Mapping[str, Any]) -> str:
     """Return how much of the mean image remains unexplained, without a capital letter and a full stop.
 
@@ -335,6 +329,11 @@ def _point_to_limits(document: Mapping[str, Any]) -> str:
     has_limits = any(row["words"] for row in document["limits"])
     text = "This does not prove the model: `spotcheck limits` lists how large each effect could still be."
     return text if has_limits else ""
+
+
+def _as_sentence(text: str) -> str:
+    """Return a text with a capital letter and a full stop; "" if it is empty."""
+    return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
 def _join(*parts: str) -> str:

@@ -8,7 +8,7 @@ in peaks of the declared shape, are numbered row after row.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import linalg
@@ -28,6 +28,8 @@ COUPLED = 3
 RIDGE = 1e-3
 # The same for nodes beyond the circle within the square: the shape must end at 0.
 FIXED_AT_ZERO = 1e7
+# Solution of L x = b, or of L'x = b with trans=1, for a lower triangular matrix L.
+_solve_lower = partial(linalg.solve_triangular, lower=True, check_finite=False)
 
 
 @dataclass(frozen=True)
@@ -121,9 +123,7 @@ class BlockFactor:
                 block -= self._below[b - 1] @ self._below[b - 1].T
             self._diagonal[b] = linalg.cholesky(block, lower=True, check_finite=False)
             if b + 1 < blocks:
-                self._below[b] = linalg.solve_triangular(
-                    self._diagonal[b], self._below[b].T, lower=True, check_finite=False
-                ).T
+                self._below[b] = _solve_lower(self._diagonal[b], self._below[b].T).T
 
     def _add_diagonal(self, offset: int, values: np.ndarray) -> None:
         """Add values [coefficient] to the diagonal `offset` below the main one: value k to (k + offset, k)."""
@@ -140,7 +140,7 @@ class BlockFactor:
         solution = self._pad(right)
         for b, (diagonal, below) in enumerate(zip(self._diagonal, self._below, strict=True)):
             rows = slice(b * self._size, (b + 1) * self._size)
-            solution[rows] = linalg.solve_triangular(diagonal, solution[rows], lower=True, check_finite=False)
+            solution[rows] = _solve_lower(diagonal, solution[rows])
             if b + 1 < len(self._diagonal):
                 solution[rows.stop : rows.stop + self._size] -= below @ solution[rows]
         return solution[: self._count]
@@ -152,9 +152,7 @@ class BlockFactor:
             rows = slice(b * self._size, (b + 1) * self._size)
             if b + 1 < len(self._diagonal):
                 solution[rows] -= self._below[b].T @ solution[rows.stop : rows.stop + self._size]
-            solution[rows] = linalg.solve_triangular(
-                self._diagonal[b], solution[rows], lower=True, trans=1, check_finite=False
-            )
+            solution[rows] = _solve_lower(self._diagonal[b], solution[rows], trans=1)
         return solution[: self._count]
 
     def _pad(self, right: np.ndarray) -> np.ndarray:

@@ -10,15 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spotcheck.discrepancy.evaluation import Evaluation
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, Evaluation
 from spotcheck.discrepancy.spline_basis import NEIGHBOURS, add_information, add_products, add_values
 
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import JointModel
-
-
-# Unknowns of the spot of a frame: ln peak, ln σ, x and y.
-SPOT_PARAMETERS = 4
 
 
 class ShapeSums:

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS
 from spotcheck.discrepancy.frames import Design, FrameParameters
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.normal_equations import invert_information
-
-# Number of spot parameters of a frame.
-SPOT_PARAMETERS = 4
 
 
 @dataclass(frozen=True)

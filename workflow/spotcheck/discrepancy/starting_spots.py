@@ -14,7 +14,7 @@ import xarray as xr
 from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
-from spotcheck.discrepancy.evaluation import THREADS
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, THREADS
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import is_law
@@ -35,8 +35,6 @@ UNKNOWN_SIGMA = 0.1
 WIDEST_SPOT = 0.7
 # Names in fits.nc of peak [DN], width [px], column and row of the centre [px].
 FITTED = ("amplitude", "sigma_mean", "x_centre", "y_centre")
-# Number of spot parameters of a frame.
-SPOT_PARAMETERS = 4
 # D4σ, a second-moment width, in standard deviations of a Gaussian.
 D4SIGMA = 4
 
@@ -185,14 +183,11 @@ def fit_spots(forward: ForwardModel, frames: FrameSet, start: FrameParameters) -
     # Frames are fitted one by one, so that a frame's result does not depend on the others.
     with ThreadPoolExecutor(THREADS) as pool:
         fits = list(pool.map(fit_frame, range(len(frames))))
-    covariance = [
+    covariances = [
         # A misfit widens the errors, and so does granular light that neighbouring pixels share.
         invert_information(fit.equations.information) * max(fit.equations.dispersion, fit.pixels.dispersion)
         for fit in fits
     ]
     rows = np.array([fit.model.spots.as_rows()[:, 0] for fit in fits]).reshape(-1, SPOT_PARAMETERS)
-    return FittedSpots(
-        FrameParameters(*rows.T),
-        np.array(covariance).reshape(-1, SPOT_PARAMETERS, SPOT_PARAMETERS),
-        np.array([fit.has_converged for fit in fits]),
-    )
+    covariance = np.array(covariances).reshape(-1, SPOT_PARAMETERS, SPOT_PARAMETERS)
+    return FittedSpots(FrameParameters(*rows.T), covariance, np.array([fit.has_converged for fit in fits]))

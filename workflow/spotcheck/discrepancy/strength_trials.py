@@ -239,15 +239,14 @@ def choose_farthest(trials: Sequence[Trial], of_variants: bool = False) -> dict[
 
     Trials that are limited come before others. With `of_variants` there is one for each variant and side.
     """
-    farthest: dict[tuple, Trial] = {}
+    groups: dict[tuple, list[Trial]] = {}
     for trial in trials:
         key = (trial.start.effect.name, trial.sign, trial.start.variant if of_variants else None)
-        best = farthest.get(key)
-        if best is None or (trial.is_limited, trial.limit_distance) > (best.is_limited, best.limit_distance):
-            farthest[key] = trial
+        groups.setdefault(key, []).append(trial)
     chosen: dict[str, list[Trial]] = {}
-    for (name, *_), trial in farthest.items():
-        chosen.setdefault(name, []).append(trial)
+    for (name, *_), group in groups.items():
+        farthest = max(group, key=lambda trial: (trial.is_limited, trial.limit_distance))
+        chosen.setdefault(name, []).append(farthest)
     return chosen
 
 

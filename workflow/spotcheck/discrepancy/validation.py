@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from spotcheck.discrepancy.evaluation import Evaluation, evaluate, map_batches
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, Evaluation, evaluate, map_batches
 from spotcheck.discrepancy.fields import correlated_area
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels, select_pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointModel
@@ -27,8 +27,6 @@ from spotcheck.model.stage import Stage
 
 # Side of the blocks [px], and distance from the spot [σ] within which their pixels count.
 BLOCK_PX, GAP_RADIUS = 8, 3.5
-# Number of spot parameters of a frame.
-SPOT_PARAMETERS = 4
 # Most steps of the fit of sites, to thinned and then to all pixels; largest steps of ln peak, ln σ [1], x and y [px];
 # and the drop of −2 ln L for each site at which the fit ends.
 SITE_STEPS, LAST_STEPS, LARGEST_STEPS, SITE_TOLERANCE = 30, 2, (0.7, 0.3, 4.0, 4.0), 0.02
@@ -212,13 +210,12 @@ def _sum_by_site(equations: NormalEquations, site: np.ndarray) -> tuple[np.ndarr
 
     `site` [frame] are numbers from 0 on.
     """
-    sites = site.max() + 1
+    sites, frames = site.max() + 1, np.arange(len(site))
     gradient = np.zeros((sites, SPOT_PARAMETERS))
     information = np.zeros((sites, SPOT_PARAMETERS, SPOT_PARAMETERS))
-    for frame, number in enumerate(site):
-        rows = slice(SPOT_PARAMETERS * frame, SPOT_PARAMETERS * (frame + 1))
-        gradient[number] += equations.gradient[rows]
-        information[number] += equations.information[rows, rows]
+    np.add.at(gradient, site, equations.gradient.reshape(-1, SPOT_PARAMETERS))
+    blocks = equations.information.reshape(len(site), SPOT_PARAMETERS, len(site), SPOT_PARAMETERS)
+    np.add.at(information, site, blocks[frames, :, frames])
     return gradient, information
 
 
