@@ -239,6 +239,7 @@ def estimate_contrast(model: JointModel, frames: FrameSet, level_dn: float) -> f
     relative = images.residual / light
     noise = np.where(is_lit, 1 / np.where(is_lit, images.weight, 1.0), 0.0) / light**2
     variance_sum = pairs = 0.0
+    # Rolled images wrap around, but the edges of a crop are dark.
     for axis in (1, 2):
         is_pair = is_lit & np.roll(is_lit, GRAIN_LAG, axis)
         excess = (relative - np.roll(relative, GRAIN_LAG, axis)) ** 2 - noise - np.roll(noise, GRAIN_LAG, axis)

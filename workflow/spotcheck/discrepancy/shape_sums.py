@@ -42,8 +42,7 @@ class ShapeSums:
             for copy in model.forward.shape_response(at.conditions)
         ]
         u, v, _ = max(copies, key=lambda copy: float(np.sum(np.abs(copy[2]))))
-        self._copies = copies
-        self.strongest = (u, v, np.sum([factor for _, _, factor in copies], axis=0))
+        self._copies, self.strongest = copies, (u, v, np.sum([factor for _, _, factor in copies], axis=0))
 
     def score(self) -> np.ndarray:
         """Return the score of the coefficients [coefficient]."""

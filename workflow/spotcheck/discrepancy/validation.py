@@ -211,8 +211,7 @@ def _sum_by_site(equations: NormalEquations, site: np.ndarray) -> tuple[np.ndarr
     `site` [frame] are numbers from 0 on.
     """
     sites, frames = site.max() + 1, np.arange(len(site))
-    gradient = np.zeros((sites, SPOT_PARAMETERS))
-    information = np.zeros((sites, SPOT_PARAMETERS, SPOT_PARAMETERS))
+    gradient, information = np.zeros((sites, SPOT_PARAMETERS)), np.zeros((sites, SPOT_PARAMETERS, SPOT_PARAMETERS))
     np.add.at(gradient, site, equations.gradient.reshape(-1, SPOT_PARAMETERS))
     blocks = equations.information.reshape(len(site), SPOT_PARAMETERS, len(site), SPOT_PARAMETERS)
     np.add.at(information, site, blocks[frames, :, frames])
@@ -246,7 +245,7 @@ def _compare_frames(model: JointModel, scatter: FrameScatter, frames: FrameSet) 
     # The square of a normal number has the variance 2 times its squared mean.
     variance = 2 * np.sum((1 + relative) ** 2)
     if scatter.frame_sd.any():
-        # A deviation of a frame's spot moves all its blocks together, so that their scatter adds up.
+        # A deviation of a frame's spot moves all its blocks together: their scatter adds up before it is squared.
         variance = 2 * np.sum(np.bincount(blocks.frame, relative) ** 2) + 2 * len(relative)
     excess = (blocks.residual**2 - blocks.noise) / blocks.count**2
     return Prediction(
