@@ -360,7 +360,7 @@ def test_a_condition_without_frames_stays_empty(tmp_path):
     )
     np.testing.assert_array_equal(grid.spread(np.array([1.0, 2.0, 3.0])), [[1.0, 2.0], [np.nan, 3.0]])
     frames = grid.condition.astype(float)
-    np.testing.assert_array_equal(grid.means(np.where(frames == 1, np.nan, frames)), [0.0, np.nan, 2.0])
+    np.testing.assert_array_equal(grid.average(np.where(frames == 1, np.nan, frames)), [0.0, np.nan, 2.0])
 
 
 def test_declared_conditions_are_axes(tmp_path):

@@ -1,4 +1,9 @@
-"""Changes that effects make to the readings, projected off spots, sensor, fitted effects and a free light shape."""
+"""Changes that effects make to the readings, projected off all nuisance parameters of a fit.
+
+A change is the pair of changes of mean [DN] and variance [DN²] of the readings at each pixel, each [frame, h, w]. The
+nuisance parameters are the spot parameters of each frame (ln peak, ln σ, x, y), the coefficients of a free light shape,
+and the fitted parameters of sensor and effects. A trial is an effect with a strength, which is not in the model.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,101 +28,134 @@ from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect
 
+# Rings into which `divide_spot` divides each sector of a spot.
+RINGS = 2
+
 
 @dataclass(frozen=True)
 class Projection:
-    """Changes by T trials beside the nuisance parameters."""
+    """Changes by T trials, projected off the nuisance parameters."""
 
-    information: np.ndarray  # of each change beside them [trial]
-    alone: np.ndarray  # without them [trial]
-    absorbed: np.ndarray  # of each change, the part that spots, sensor and effects take [unknown, trial]
-    of_shape: np.ndarray | None  # the part that a free shape takes [coefficient, trial]; None beside the declared one
-    of_rest: np.ndarray  # the part that the effect at no strength takes [trial]
+    information: np.ndarray  # Fisher information on each change with the nuisance parameters free [trial]
+    alone: np.ndarray  # Fisher information with the nuisance parameters fixed [trial]
+    # Multiples of the derivatives by spots, sensor and fitted effects that are subtracted from a change [unknown,
+    # trial].
+    absorbed: np.ndarray
+    of_shape: np.ndarray | None  # the same for a free shape [coefficient, trial]; None beside the declared shape
+    of_rest: np.ndarray  # the same for the effect at the strength where it vanishes [trial]; 0 if it does nothing there
 
 
-def change_by_strength(model: JointModel, applied: AppliedEffect, at: Evaluation) -> tuple[Column, Column | None]:
-    """Return the change by the strength of an effect, and that by the rest of it.
+def change_by_strength(
+    model: JointModel, applied: AppliedEffect, evaluation: Evaluation
+) -> tuple[Column, Column | None]:
+    """Return the change by the strength of an effect, and the change by its rest, or None if there is no rest.
 
-    An effect with special cases, such as a slope on a level, acts also where its strength vanishes: a nuisance.
+    The rest is what an effect with special cases does at the strength where it vanishes, such as the level of an offset
+    with a slope. It is a nuisance.
     """
-    change = change_at(model, applied, at)
+    change = change_at(model, applied, evaluation)
     if not applied.effect.special_cases:
         return change, None
-    rest = change_at(model, applied.with_value(applied.effect.parameters[0].name, applied.effect.vanishes_at), at)
+    strength = applied.effect.parameters[0].name
+    rest = change_at(model, applied.with_value(strength, applied.effect.vanishes_at), evaluation)
     return (change[0] - rest[0], change[1] - rest[1]), rest
 
 
-def change_at(model: JointModel, applied: AppliedEffect, at: Evaluation) -> Column:
-    """Return the change of mean and variance by an effect; readings are linear in small changes of the light."""
+def change_at(model: JointModel, applied: AppliedEffect, evaluation: Evaluation) -> Column:
+    """Return the change of mean and variance by an effect of finite strength.
+
+    Changes of the light are small: mean and variance follow them linearly. Effects of the sensor are evaluated in full.
+    """
     if stages_of(applied) & SENSOR:
-        return change_by(model, applied, at)
+        return change_by(model, applied, evaluation)
     forward = replace(model.forward, effects=(*model.forward.effects, applied))
-    change = forward.light(at.conditions).total - at.light.total
-    return at.moments.mean_slope * change, at.moments.variance_slope * change
+    change = forward.light(evaluation.conditions).total - evaluation.light.total
+    return evaluation.moments.mean_slope * change, evaluation.moments.variance_slope * change
 
 
 def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection:
-    """Return the changes by trials beside the nuisance parameters of a fit."""
+    """Return the changes by trials, projected off the nuisance parameters of a fit at its pixels."""
     model, equations, count = fit.model, fit.equations, len(trials)
     with_rest = [k for k, applied in enumerate(trials) if applied.effect.special_cases]
 
-    def of_batch(part: slice) -> tuple[np.ndarray, ...]:
-        at = evaluate(model, fit.pixels, part)
-        sums, between = ChangeSums(fit, at, part, count + len(with_rest)), np.zeros(len(with_rest))
+    def sum_batch(batch: slice) -> tuple[np.ndarray, ...]:
+        """Return the sums of a batch of frames; rests come behind the trials."""
+        evaluation = evaluate(model, fit.pixels, batch)
+        sums, shared = ChangeSums(fit, evaluation, batch, count + len(with_rest)), np.zeros(len(with_rest))
         for k, applied in enumerate(trials):
-            change, rest = change_by_strength(model, applied, at)
+            change, rest = change_by_strength(model, applied, evaluation)
             sums.add(k, change)
             if rest is not None:
                 j = with_rest.index(k)
-                between[j] = at.information_of(change, rest)
+                shared[j] = evaluation.information_of(change, rest)
                 sums.add(count + j, rest)
-        return sums.cross, sums.alone, between, sums.of_shape
+        return sums.cross, sums.alone, shared, sums.of_shape
 
-    cross, alone, between, shape_products = sum_batches(of_batch, fit.pixels)
+    cross, alone, shared, shape_products = sum_batches(sum_batch, fit.pixels)
+    # `shared` is the information between each change and its rest. First the coefficients of a free shape are projected
+    # off: L L' is their information, and `half` is L⁻¹ times their information with each change.
+    shape = equations.shape
     half = np.zeros((0, len(alone)))
-    if equations.shape is not None:
-        half = equations.shape.factor.half_solve(shape_products)
-        cross = cross - equations.shape.cross.T @ half
+    if shape is not None:
+        half = shape.factor.half_solve(shape_products)
+        cross = cross - shape.cross.T @ half
     absorbed = solve_positive(equations.information, cross)
     information = alone - np.sum(half**2, axis=0) - np.sum(cross * absorbed, axis=0)
     of_rest = np.zeros(count)
     if with_rest:
+        # Last, each change is projected off its own rest, unless the other nuisance parameters can do the same as it.
         k, j = np.array(with_rest), count + np.arange(len(with_rest))
-        between = between - np.sum(half[:, k] * half[:, j], axis=0) - np.sum(cross[:, k] * absorbed[:, j], axis=0)
-        of_rest[k] = np.where(
-            information[j] > SEPARABLE_SHARE * alone[j], between / np.maximum(information[j], 1e-300), 0
-        )
-        information[k] -= of_rest[k] * between
+        shared = shared - np.sum(half[:, k] * half[:, j], axis=0) - np.sum(cross[:, k] * absorbed[:, j], axis=0)
+        is_separable = information[j] > SEPARABLE_SHARE * alone[j]
+        of_rest[k] = np.where(is_separable, shared / np.maximum(information[j], 1e-300), 0)
+        information[k] -= of_rest[k] * shared
         absorbed[:, k] -= of_rest[k] * absorbed[:, j]
         half[:, k] -= of_rest[k] * half[:, j]
     of_shape = None
-    if equations.shape is not None:
-        shape = equations.shape
+    if shape is not None:
         of_shape = shape.factor.back_solve(half[:, :count] - shape.cross @ absorbed[:, :count])
     return Projection(information[:count], alone[:count], absorbed[:, :count], of_shape, of_rest)
 
 
-def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], by: Projection) -> tuple[np.ndarray, np.ndarray]:
-    """Return score and information of projected changes [trial, frame, place], with 16 sectors and rings as places."""
-    model = fit.model
+def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], projection: Projection) -> tuple[np.ndarray, np.ndarray]:
+    """Return score and Fisher information of the projected changes by trials, divided by places on the spot.
 
-    def of_batch(part: slice) -> np.ndarray:
-        at = evaluate(model, fit.pixels, part)
-        fitted = differentiate_readings(model, at)
-        light = None if by.of_shape is None else ShapeSums(model, at).values(by.of_shape)
-        sector, ring = divide_spot(at)
-        number = np.arange(len(at.weight))[:, None, None]
-        label = np.broadcast_to(sector + SECTORS * (ring + 2 * number), at.weight.shape).ravel()
-        out = np.zeros((2, len(trials), len(at.weight), 2 * SECTORS))
+    Parameters
+    ----------
+    fit : JointFit
+        Fit without the trials.
+    trials : sequence of AppliedEffect
+        Trials.
+    projection : Projection
+        Result of `project_trials` for them, maybe on other pixels of the same frames.
+
+    Returns
+    -------
+    score, information : array [trial, frame, place]
+        Places are `SECTORS` sectors times `RINGS` rings about the centre of the spot.
+    """
+    model, of_shape = fit.model, projection.of_shape
+
+    def sum_batch(batch: slice) -> np.ndarray:
+        """Return score and information [2, trial, frame, place] of a batch of frames."""
+        evaluation = evaluate(model, fit.pixels, batch)
+        fitted = differentiate_readings(model, evaluation)
+        shape_changes = None if of_shape is None else ShapeSums(model, evaluation).values(of_shape)
+        sector, ring = divide_spot(evaluation)
+        shape = evaluation.weight.shape
+        frame = np.arange(shape[0])[:, None, None]
+        label = np.broadcast_to(sector + SECTORS * (ring + RINGS * frame), shape).ravel()
+        sums = np.zeros((2, len(trials), shape[0], RINGS * SECTORS))
         for k, applied in enumerate(trials):
-            change, rest = change_by_strength(model, applied, at)
-            others, absorbed = fitted, by.absorbed[:, k]
+            change, rest = change_by_strength(model, applied, evaluation)
+            others, absorbed = fitted, projection.absorbed[:, k]
             if rest is not None:
-                others, absorbed = [*fitted, rest], np.append(absorbed, by.of_rest[k])
-            change = subtract_absorbed(at, part, change, absorbed, others, None if light is None else light[k])
-            for j, values in enumerate((at.score_per_pixel(change), at.information_per_pixel(change))):
-                out[j, k] = np.bincount(label, values.ravel(), out[j, k].size).reshape(out[j, k].shape)
-        return out
+                others, absorbed = [*fitted, rest], np.append(absorbed, projection.of_rest[k])
+            by_shape = None if shape_changes is None else shape_changes[k]
+            change = subtract_absorbed(evaluation, batch, change, absorbed, others, by_shape)
+            for j, values in enumerate((evaluation.score_per_pixel(change), evaluation.information_per_pixel(change))):
+                sums[j, k] = np.bincount(label, values.ravel(), sums[j, k].size).reshape(sums[j, k].shape)
+        return sums
 
-    score, information = np.concatenate(map_batches(of_batch, fit.pixels), axis=2)
+    score, information = np.concatenate(map_batches(sum_batch, fit.pixels), axis=2)
     return score, information

@@ -1,4 +1,8 @@
-"""Frames of a dataset, selected and given starting spots, ready to be analysed for a verdict."""
+"""Frames of a dataset that are ready to be analysed for a verdict: selected, and with spots from which fits start.
+
+A site is the set of frames with the same angle, declared conditions and repeat; they show the same spot at several
+exposures. The grid of a dataset has a cell for each angle, exposure, repeat and declared condition.
+"""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -14,6 +18,7 @@ from spotcheck.discrepancy.analysis import Setting
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, load_frames
 from spotcheck.discrepancy.starting_spots import (
     WIDEST_SPOT,
+    Cell,
     fit_spots,
     has_trusted_fit,
     load_spots,
@@ -27,23 +32,23 @@ from spotcheck.model.forward import ForwardModel
 UNKNOWN_SENSOR = "gain or read noise of the sensor is unknown, and the frames do not tell them"
 NO_SPOT = "no spot could be fitted in any frame"
 TOO_WIDE = f"{NO_SPOT}: it is as wide as its crop"
-# Crops of one site that lie further apart than this part of a crop do not show the same spot.
+# Largest distance of two crops of a site that show the same spot, along each axis [side of a crop].
 SITE_SHIFT = 0.5
 
 
 @dataclass(frozen=True)
 class ReadyFrames:
-    """The frames of a dataset, ready to be analysed."""
+    """The frames of a dataset that are analysed, in the order of `load_frames`."""
 
     frames: FrameSet  # usable frames that show the spot of their site
-    cells: tuple[tuple[tuple[int, ...], Frame], ...]  # place on the grid and row of the manifest of each frame
+    cells: tuple[Cell, ...]  # index on the grid and row of the manifest of each frame
     spots: FrameParameters  # spot of each frame, from which fits start
-    setting: Setting  # what the instrument fixes
-    remarks: tuple[str, ...]  # what of the dataset no verdict rests on
+    setting: Setting  # what the instrument fixes: light, sensor, standard errors of the sensor's numbers
+    remarks: tuple[str, ...]  # sentences about parts of the dataset that the verdict does not rest on
 
     @property
     def indices(self) -> list[tuple[int, ...]]:
-        """Place of each frame on the grid."""
+        """Index of each frame on the grid."""
         return [index for index, _ in self.cells]
 
     @property
@@ -55,7 +60,7 @@ class ReadyFrames:
 def prepare_dataset(
     dataset: Dataset, crops: xr.Dataset, sensor: xr.Dataset, fits: xr.Dataset | None
 ) -> ReadyFrames | str:
-    """Return the frames of a dataset, ready to be analysed; or in one sentence why they cannot be.
+    """Return the frames of a dataset that can be analysed; or one sentence that says why none can.
 
     Parameters
     ----------
@@ -70,12 +75,12 @@ def prepare_dataset(
     unusable = describe_unusable(dataset, crops)
     if not cells:
         return unusable
-    model = read_sensor_model(sensor)
-    if model is None:
+    sensor_model = read_sensor_model(sensor)
+    if sensor_model is None:
         return UNKNOWN_SENSOR
     if not dataset.exposures:
-        # Without exposures nobody knows what a dark current per second brings.
-        model = replace(model, dark_current_e_per_s=0.0)
+        # A dark current per second has no known effect without exposures.
+        sensor_model = replace(sensor_model, dark_current_e_per_s=0.0)
     frames = load_frames(dataset, crops)
     shows_spot = find_shared_spots(frames, dataset.instrument.crop_px)
     left_out = len(frames) - int(shows_spot.sum())
@@ -90,17 +95,21 @@ def prepare_dataset(
     if fits is not None and has_trusted_fit(fits, cells):
         spots = load_spots(fits, frames, cells)
     else:
-        spots = fit_starting_spots(ForwardModel(replace(baseline, photon_budget="free"), model), frames)
+        # Each frame is fitted with a peak of its own, whatever law of the peak the instrument states.
+        spots = fit_starting_spots(ForwardModel(replace(baseline, photon_budget="free"), sensor_model), frames)
     if isinstance(spots, str):
         return spots
     names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
     stderr = dict(zip(names, read_standard_errors(sensor), strict=True))
-    setting = Setting(baseline, model, float(dataset.instrument.crop_px), stderr)
+    setting = Setting(baseline, sensor_model, float(dataset.instrument.crop_px), stderr)
     return ReadyFrames(frames, tuple(cells), spots, setting, tuple(filter(None, remarks)))
 
 
 def fit_starting_spots(forward: ForwardModel, frames: FrameSet) -> FrameParameters | str:
-    """Return the spot of each frame, fitted alone, or by moments if its fit fails; or why no frame has a spot."""
+    """Return the spot of each frame, fitted alone; or a sentence that says why no frame has a spot.
+
+    A frame whose fit does not converge, or is as wide as its crop, gets its spot by second moments.
+    """
     moments = spots_by_moments(frames)
     fitted = fit_spots(forward, frames, moments)
     is_wide = np.exp(fitted.spots.log_sigma) > WIDEST_SPOT * min(frames.readings.shape[1:])
@@ -111,7 +120,10 @@ def fit_starting_spots(forward: ForwardModel, frames: FrameSet) -> FrameParamete
 
 
 def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
-    """Return how many spot frames cannot be used, and why; "" if all can."""
+    """Return a clause that says how many spot frames cannot be used, and why; "" if all can.
+
+    `crops` is the content of crops.nc.
+    """
     total = len(dataset.spots)
     if not total:
         return "the manifest names no spot frame, and flats and darks are judged by `spotcheck flats`"
@@ -127,15 +139,22 @@ def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
         subject = f"none of {total} spot frames can"
     else:
         subject = f"{count} of {total} spot frames cannot"
-    parts = [text if len(reasons) == 1 else f"{number}: {text}" for text, number in reasons.items()]
-    return f"{subject} be used ({'; '.join(parts)})"
+    causes = [text if len(reasons) == 1 else f"{number}: {text}" for text, number in reasons.items()]
+    return f"{subject} be used ({'; '.join(causes)})"
 
 
 def find_shared_spots(frames: FrameSet, crop_px: int) -> np.ndarray:
-    """Return which frames [frame] show the spot of their site.
+    """Return which frames show the spot of their site [frame].
 
-    Crops of a site that lie far apart show different things. The largest group counts; of equal ones, that with the
-    longest exposure.
+    Crops are centred on their light. Crops of a site that lie far apart show different things. The frame with
+    most neighbours counts as the spot of the site, with these; among equals, that with the longest exposure.
+
+    Parameters
+    ----------
+    frames : FrameSet
+        Usable frames.
+    crop_px : int
+        Side of the crops [px].
     """
     site, exposure_s = frames.design.site, frames.design.exposure_s
     shows_spot = np.zeros(len(frames), bool)
@@ -143,17 +162,21 @@ def find_shared_spots(frames: FrameSet, crop_px: int) -> np.ndarray:
         members = np.flatnonzero(site == number)
         corners = np.stack([frames.left[members], frames.top[members]], 1)
         distance = np.abs(corners[:, None] - corners[None]).max(axis=2)
-        groups = [members[near] for near in distance <= SITE_SHIFT * crop_px]
+        groups = [members[is_near] for is_near in distance <= SITE_SHIFT * crop_px]
         shows_spot[max(groups, key=lambda group: (len(group), exposure_s[group].max()))] = True
     return shows_spot
 
 
 def never_searched(frames: FrameSet) -> str:
-    """Return how many frames belong to conditions of which all frames are held out; "" if there is none."""
+    """Return a clause that says how many frames belong to conditions with held-out frames only; "" if none do.
+
+    Held-out frames are repeats that test the model and do not take part in the search for effects. A condition is an
+    exposure, angle and setting of the declared conditions.
+    """
     is_held_out = frames.held_out()
-    keys = np.stack([frames.design.condition, frames.design.angle], 1)
-    searched = {tuple(key) for key in keys[~is_held_out]}
-    count = sum(tuple(key) not in searched for key in keys[is_held_out])
+    conditions = np.stack([frames.design.condition, frames.design.angle], 1)
+    searched = {tuple(condition) for condition in conditions[~is_held_out]}
+    count = sum(tuple(condition) not in searched for condition in conditions[is_held_out])
     if not count:
         return ""
     subject = "1 frame belongs" if count == 1 else f"{count} frames belong"

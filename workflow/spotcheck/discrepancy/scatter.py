@@ -1,7 +1,8 @@
-"""Scatter of pixels beyond the noise of the model: read noise and rows from dark pixels.
+"""Noise of dark pixels: variance beyond the model's, and covariances of rows, columns and neighbours.
 
-Products of residuals that share no noise estimate a covariance. Residuals of dark pixels are turned into signals with
-the slope of the mean reading, which is below 1 where readings are cut at 0.
+Products of residuals that share no noise estimate a covariance. A reading is cut at 0, so that it shows only a part of
+the noise before the cut: its mean follows that noise with a slope below 1. Covariances of residuals are divided by
+those of the slopes, which gives covariances of the signal before rounding and the cut.
 """
 
 from dataclasses import dataclass
@@ -11,29 +12,32 @@ import numpy as np
 
 from spotcheck.discrepancy.residuals import ResidualImages
 
-# Dark pixels without which their noise is not assessed.
+# Fewest dark pixels from which their noise is estimated.
 FEWEST_DARK = 5000
-# Pixels of a line are taken in blocks of this length; blocks that touch are no pair, so that neighbours that share
-# light or noise do not count as a line [px].
+# Length of the blocks into which a row or column of pixels is divided [px]. Products of blocks that touch are left out,
+# so that light or noise that neighbouring pixels share does not count as common to the row.
 BLOCK_PX = 8
-# Frames from which on their scatter alone gives errors; with fewer that over lines of pixels counts as well.
+# Frames from which on only the scatter over frames gives errors; with fewer frames the scatter over rows or columns
+# counts as well.
 MANY_FRAMES = 10
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A covariance of dark signals."""
+    """A variance or covariance of dark signals."""
 
     value: float  # [DN²]
-    stderr: float  # standard error [DN²]
+    stderr: float  # standard error [DN²]; NaN if unknown
 
 
 @dataclass(frozen=True)
 class DarkSlopes:
-    """How mean and variance of a dark reading change with its noise and with light; readings that are cut at 0 rise
-    with both."""
+    """Derivatives of mean and variance of a dark reading by the variance of the read noise [DN²] and by light [DN].
 
-    variance_by_noise: float  # [1], by the variance of the read noise
+    The mean follows the noise because readings are cut at 0.
+    """
+
+    variance_by_noise: float  # [1]; 0 if readings do not show the noise
     mean_by_noise: float  # [1/DN]
     variance_by_light: float  # [DN]
     mean_by_light: float  # [1]
@@ -41,104 +45,120 @@ class DarkSlopes:
 
 @dataclass(frozen=True)
 class DarkNoise:
-    """Noise of dark pixels of a signal, before rounding and the cut at 0."""
+    """Noise of the signal of dark pixels, before rounding and the cut at 0."""
 
-    white: Moment  # variance beyond that of the model, without what rows, columns and smooth light share
-    row: Moment  # variance common to a row of a frame
-    column: Moment  # variance common to a column of a frame
-    next_row: Moment  # covariance of rows that are neighbours
-    same_row: Moment  # covariance of the same row in different frames
+    white: Moment  # variance of single pixels beyond the model's, without what rows, columns and smooth light share
+    row: Moment  # variance of an offset that a row of a frame shares
+    column: Moment  # variance of an offset that a column of a frame shares
+    next_row: Moment  # covariance of the offsets of neighbouring rows of a frame
+    same_row: Moment  # covariance of the offsets of the same row in different frames; its error is not known
     neighbour: Moment  # covariance of neighbours in a row
 
 
 def measure_dark_noise(images: ResidualImages, slopes: DarkSlopes) -> DarkNoise | None:
-    """Return the noise of dark pixels, or None if there are too few or their readings do not depend on it.
+    """Return the noise of dark pixels; None if there are too few, or if their readings do not depend on their noise.
 
     Parameters
     ----------
     images : ResidualImages
         Residuals of a fit.
     slopes : DarkSlopes
-        Slopes of dark readings beside the fit.
+        Derivatives of dark readings under the model of the fit.
     """
     dark = images.is_dark
     if dark.sum() < FEWEST_DARK or slopes.variance_by_noise == 0:
         return None
-    # Signals that a reading shows, and how much of one it shows.
-    found, shown = _multiply_lines(images.residual, dark), _multiply_lines(images.slope, dark)
-    same, same_shown = (
-        float((sums.sum(axis=0) ** 2 - (sums**2).sum(axis=0)).sum()) for sums in (found.row_sums, shown.row_sums)
+    # Covariance of readings = covariance of signals × product of slopes.
+    readings, visible = _multiply_lines(images.residual, dark), _multiply_lines(images.slope, dark)
+    same_row, same_row_visible = (
+        float((sums.sum(axis=0) ** 2 - (sums**2).sum(axis=0)).sum()) for sums in (readings.row_sums, visible.row_sums)
     )
-    return DarkNoise(
-        white=_white_moment(images, slopes),
-        row=ratio_moment(found.row, shown.row),
-        column=ratio_moment(found.column, shown.column),
-        next_row=ratio_moment(found.next_row, shown.next_row),
-        same_row=Moment(same / max(same_shown, 1e-300), np.nan),
-        neighbour=ratio_moment(found.neighbour, shown.neighbour),
-    )
+    moments = {name: ratio_moment(getattr(readings, name), getattr(visible, name))
+               for name in ("row", "column", "next_row", "neighbour")}  # fmt: skip
+    same = Moment(same_row / max(same_row_visible, 1e-300), np.nan)
+    return DarkNoise(white=_white_moment(images, slopes), same_row=same, **moments)
 
 
 class LineProducts(NamedTuple):
-    """Sums of products of dark pixels [frame, line]."""
+    """Sums of products of dark pixels in each row or column of each frame."""
 
-    row: np.ndarray  # of blocks of a row
-    column: np.ndarray  # of blocks of a column
-    next_row: np.ndarray  # of the sums of two rows that touch
-    neighbour: np.ndarray  # of neighbours in a row
-    row_sums: np.ndarray  # sums of rows, without products
+    row: np.ndarray  # of blocks of a row that do not touch [frame, row]
+    column: np.ndarray  # of blocks of a column that do not touch [frame, column]
+    next_row: np.ndarray  # of the sums of a row and the next one [frame, row − 1]
+    neighbour: np.ndarray  # of neighbours in a row [frame, row]
+    row_sums: np.ndarray  # sums over a row, without products [frame, row]
 
 
 def _multiply_lines(values: np.ndarray, is_dark: np.ndarray) -> LineProducts:
-    """Return the products of images [frame, row, column], frame by frame to save memory."""
+    """Return sums of products of the dark pixels of images [frame, row, column]."""
     frames = []
+    # Frame by frame, to save memory.
     for image, dark in zip(values, is_dark, strict=True):
         image = image * dark
         rows = _block_sums(image)
-        sums = rows.sum(axis=1)
+        row_sums = rows.sum(axis=1)
         neighbours = (image[:, 1:].astype(float) * image[:, :-1]).sum(axis=1)
         columns = _far_products(_block_sums(image.T))
-        frames.append((_far_products(rows), columns, sums[1:] * sums[:-1], neighbours, sums))
+        frames.append((_far_products(rows), columns, row_sums[1:] * row_sums[:-1], neighbours, row_sums))
     return LineProducts(*map(np.array, zip(*frames, strict=True)))
 
 
 def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:
-    """Return the variance beyond that of the model from differences of differences of four neighbours: these share no
-    rows, no columns and no slope of the mean image. What light that the model lacks adds to the variance is taken off;
-    it shows in the mean, to which noise adds as well."""
-    by_mean = slopes.variance_by_light / slopes.mean_by_light
-    lines = []
+    """Return the variance of single pixels beyond the model's, from second differences of 2 × 2 neighbours.
+
+    These share no rows, no columns and no slope of the mean image. Light that the model lacks adds variance as well.
+    The mean residual shows that light and is used to subtract its variance; the noise that is sought also shifts the
+    mean, which the divisor takes into account.
+    """
+    variance_by_mean = slopes.variance_by_light / slopes.mean_by_light
+    rows_of_frames = []
     for residual, weight, dark in zip(images.residual, images.weight, images.is_dark, strict=True):
-        top, bottom = np.s_[: len(dark) // 2 * 2 : 2], np.s_[1::2]
-        expected = 1 / np.where(dark, weight, 1.0).astype(float) + by_mean * residual
-        tall, sums = residual[top].astype(float) - residual[bottom], expected[top] + expected[bottom]
-        both = dark[top] & dark[bottom]
-        used = both[:, 1:] & both[:, :-1]
-        squares = np.where(used, (tall[:, 1:] - tall[:, :-1]) ** 2 - sums[:, 1:] - sums[:, :-1], 0.0)
-        lines.append((squares.sum(axis=1), used.sum(axis=1)))
-    squares, used = (np.array(part) for part in zip(*lines, strict=True))
-    return ratio_moment(squares, 4 * (slopes.variance_by_noise - by_mean * slopes.mean_by_noise) * used)
+        # Even rows and the odd rows below them.
+        upper, lower = np.s_[: len(dark) // 2 * 2 : 2], np.s_[1::2]
+        variance = 1 / np.where(dark, weight, 1.0).astype(float) + variance_by_mean * residual
+        differences, variances = residual[upper].astype(float) - residual[lower], variance[upper] + variance[lower]
+        both_dark = dark[upper] & dark[lower]
+        used = both_dark[:, 1:] & both_dark[:, :-1]
+        second_differences = differences[:, 1:] - differences[:, :-1]
+        excess = np.where(used, second_differences**2 - variances[:, 1:] - variances[:, :-1], 0.0)
+        rows_of_frames.append((excess.sum(axis=1), used.sum(axis=1)))
+    excess, count = (np.array(rows) for rows in zip(*rows_of_frames, strict=True))
+    # Four pixels contribute their variance to each second difference.
+    return ratio_moment(excess, 4 * (slopes.variance_by_noise - variance_by_mean * slopes.mean_by_noise) * count)
 
 
-def ratio_moment(products: np.ndarray, shown: np.ndarray) -> Moment:
-    """Return Σ products / Σ shown, both [frame, line], with the standard error of the scatter of frames or lines."""
-    total = max(float(shown.sum()), 1e-300)
+def ratio_moment(products: np.ndarray, visible: np.ndarray) -> Moment:
+    """Return Σ products / Σ visible with its standard error.
+
+    Parameters
+    ----------
+    products : array [frame, line]
+        Sums of products of residuals in each line of pixels [DN²].
+    visible : array [frame, line]
+        The same sums of products of slopes [1]: how much of a covariance the readings show.
+
+    Returns
+    -------
+    Moment
+        Its error comes from the scatter over frames; with few frames it is at least that from the scatter over lines.
+    """
+    total = max(float(visible.sum()), 1e-300)
     value = float(products.sum()) / total
-    influence = (products - value * shown) / total
+    influence = (products - value * visible) / total
     frames = len(influence)
-    of_frames = influence.sum(axis=1)
-    over_frames = np.sqrt(np.sum(of_frames**2) * frames / max(frames - 1, 1)) if frames > 1 else 0.0
+    frame_influence = influence.sum(axis=1)
+    over_frames = np.sqrt(np.sum(frame_influence**2) * frames / max(frames - 1, 1)) if frames > 1 else 0.0
     over_lines = 0.0 if frames >= MANY_FRAMES else np.sqrt(np.sum(influence**2))
     return Moment(value, float(max(over_frames, over_lines)))
 
 
 def _block_sums(lines: np.ndarray) -> np.ndarray:
-    """Return sums over blocks of lines [line, block]."""
+    """Return sums [line, block] over blocks of `BLOCK_PX` pixels of lines [line, pixel]; a remainder is left out."""
     blocks = lines.shape[1] // BLOCK_PX
     return lines[:, : blocks * BLOCK_PX].reshape(len(lines), blocks, BLOCK_PX).sum(axis=2, dtype=float)
 
 
 def _far_products(sums: np.ndarray) -> np.ndarray:
-    """Return twice the sum of products of the blocks of a line that do not touch [line]."""
+    """Return twice the sum of products of blocks that do not touch [line], from the sums of blocks [line, block]."""
     touching = (sums[:, 1:] * sums[:, :-1]).sum(axis=1)
     return sums.sum(axis=1) ** 2 - (sums**2).sum(axis=1) - 2 * touching

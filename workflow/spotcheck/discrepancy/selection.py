@@ -1,4 +1,11 @@
-"""Selection of the effects of the mean image: forward by score tests and refits, backward by the tests of fits."""
+"""Selection of the effects of the mean image: forward by score tests and refits, backward by tests of the fits.
+
+A drop is a decrease of −2 ln L. A free shape is a light shape that is fitted at the nodes of a grid, instead of the
+declared shape of the instrument. A static shape is an effect that changes the light in the same way in every frame. The
+dispersion is the variance of a score over that of independent readings: it exceeds 1 if granular light is common to
+neighbouring pixels. Drops are divided by it before they are compared with thresholds. Thinned pixels are a random
+subset of the pixels, on which candidates are ranked.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -6,15 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from spotcheck.discrepancy.candidates import Candidate, is_unresolved_shape, list_starts, screen_candidates
-from spotcheck.discrepancy.criteria import (
-    EXPLAINED_SHARE,
-    MIN_GAIN,
-    MOST_EFFECTS,
-    PARAMETER_PRICE,
-    SHAPE_SHARES,
-    VARIANT_TIE,
-)
+from spotcheck.discrepancy.candidates import list_starts, screen_candidates
+from spotcheck.discrepancy.criteria import EXPLAINED_SHARE, MOST_EFFECTS, PARAMETER_PRICE, SHAPE_SHARES, VARIANT_TIE
 from spotcheck.discrepancy.evidence import (
     EffectTest,
     assess_effect,
@@ -27,44 +27,25 @@ from spotcheck.discrepancy.fine_structure import add_fine_structure
 from spotcheck.discrepancy.frames import FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_thinned_evidence
-from spotcheck.model.effect import AppliedEffect, Effect, EffectScales
+from spotcheck.discrepancy.refits import Log, Refit, describe_start, least_drop_of, price_of, refit_candidates
+from spotcheck.model.effect import Effect, EffectScales
 
-# Effort of fits that only rank candidates: decrement of the effects and most iterations.
+# Effort of the fit to thinned pixels beside which candidates are ranked: Newton decrement of the effects at which it
+# ends, and most iterations.
 SCREEN_TOLERANCE, SCREEN_ITERATIONS = 0.1, 25
-REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 9
-# Candidates below this part of the best score are not refitted.
-SCORE_SHARE = 0.05
-# Candidates that are refitted in one step, and starts of one variant among them.
-MOST_REFITS, MOST_REFITS_BESIDE_SHAPE, MOST_STARTS = 6, 4, 1
-# Variants of one effect among the leading refits, and refits that are fitted to all pixels.
-MOST_VARIANTS, MOST_FULL_FITS = 2, 4
-# Refits that may still win on all pixels: another variant within this drop, another effect with this part of it.
-VARIANT_MARGIN, RIVAL_SHARE = 50.0, 0.9
-# Part of what is demanded of an effect on all pixels that its refit must reach: refits stop early.
-REFIT_SHARE = 0.8
-# Most iterations of a candidate on all pixels.
-FULL_ITERATIONS = 25
+# Most refits of which a fit to all pixels is made, and most iterations of that fit.
+MOST_FULL_FITS, FULL_ITERATIONS = 4, 25
+# Refits that may still win on all pixels: another variant of the leading effect if its drop is at most this much
+# smaller than the largest, or at most this part of it; another effect if its drop is at least the last part of the
+# largest.
+VARIANT_MARGIN, VARIANT_MARGIN_SHARE, RIVAL_SHARE = 50.0, 0.01, 0.9
+# Parts of the least gain of an effect, and of what is demanded of it beside a free shape, that its refit must reach
+# before all pixels are fitted: refits stop early.
+REFIT_GAIN_SHARE, REFIT_SHARE = 0.5, 0.8
+# Candidates of each step that the log lists.
+LOGGED_CANDIDATES = 5
 
-Log = Callable[[str], None]
 Update = Callable[[JointFit], JointFit]
-
-
-@dataclass(frozen=True)
-class Refit:
-    """A candidate that was fitted to the thinned pixels."""
-
-    candidate: Candidate  # its start
-    model: JointModel  # the fitted model
-    # Drop of −2 ln L, scaled to all pixels and over the light's dispersion, less the price of its parameters.
-    value: float
-
-    @property
-    def is_at_bound(self) -> bool:
-        """Whether a parameter is at its bound, where the variant is much the same as another one."""
-        name = self.candidate.start.effect.name
-        of_effect = [parameter for parameter in self.model.free if parameter.effect == name]
-        values = [(self.model.value_of(parameter), parameter) for parameter in of_effect]
-        return any(value <= parameter.low or value >= parameter.high for value, parameter in values)
 
 
 @dataclass(frozen=True)
@@ -72,9 +53,9 @@ class FullFit:
     """The present model with one more effect, fitted to all pixels."""
 
     fit: JointFit  # the fit
-    value: float  # drop of −2 ln L over the light's dispersion, less the price of the effect's parameters
-    place: int  # position of its start among all: variants that tie are taken in this order
-    dispersion: float  # of the effect
+    value: float  # drop over the light's dispersion, less `PARAMETER_PRICE` for each parameter of the effect
+    place: int  # position of its start among all starts: of variants that tie the first one is taken
+    dispersion: float  # dispersion of the effect's score
 
 
 @dataclass(frozen=True)
@@ -82,21 +63,22 @@ class SelectedEffects:
     """Final model of the mean image with the tests of its effects."""
 
     fit: JointFit  # fit to all pixels
-    covariance: np.ndarray  # of the fitted parameters of sensor and effects
-    tests: dict[str, EffectTest]  # by effect
-    # By effect: others in its place, and how much larger −2 ln L is with them.
+    covariance: np.ndarray  # of the fitted parameters of sensor and effects [free parameter, free parameter]
+    tests: dict[str, EffectTest]  # test of each effect by its name
+    # For each effect with rivals, by name: rivals that do as well in its place, and how much larger −2 ln L is with
+    # them.
     rivals: Mapping[str, Mapping[str, float]]
-    # Fit with the free shape before any effect was sought; None beside the declared shape.
+    # Fit with the free shape before any effect was sought; None if the declared shape is kept.
     with_shape: JointFit | None = None
 
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """A fit on the way of the forward selection."""
+    """A fit of the forward selection, with one effect more than the step before it."""
 
-    fit: JointFit  # with the effects so far
-    gain: float  # drop of −2 ln L by the last of them over its dispersion; NaN if unknown
-    # By effect: others that do as well in its place, and how much larger −2 ln L is with them.
+    fit: JointFit  # fit to all pixels with the effects so far
+    gain: float  # drop by the last effect over its dispersion; NaN if unknown
+    # As in `SelectedEffects`, for the effects so far.
     rivals: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
@@ -114,22 +96,31 @@ def select_effects(
 ) -> SelectedEffects:
     """Select the effects of the mean image.
 
-    Beside the declared shape each effect must take its share of what a free shape would take, and what is left must be
-    no shape. Else the light is not the declared one, and the effects are sought beside a free shape. Static shapes are
-    among them: one whose size on the sensor does not follow the width of the spot is not the same in every frame.
+    Effects are sought beside the declared light shape first. Each must explain its share of the drop that a free shape
+    would give, and beside all of them a free shape must give none. Otherwise the light does not have the declared
+    shape, and the effects are sought anew beside a free shape. Static shapes are sought there as well: one whose size
+    is fixed on the sensor is not the same in every frame in units of the spot's width, so that a free shape cannot
+    replace it.
 
     Parameters
     ----------
     declared : JointFit
-        Fit with the declared shape; its effects take part from the start.
+        Fit with the declared shape. Effects that it contains take part from the start.
     effects : sequence of Effect
-        Effects of the mean image.
+        Effects of the mean image that are sought.
     scales : EffectScales
-        Scales of the dataset.
+        Typical sizes of the dataset (light, widths, exposures, noise), from which effects derive starting values,
+        bounds and negligible strengths.
     log : callable
         Receives lines of text.
     update : callable
-        Returns a fit with the dispersion that its residuals show; called after each effect that is added.
+        Returns a fit with the dispersion of its pixels estimated anew from its residuals; called after each effect that
+        is added.
+
+    Returns
+    -------
+    SelectedEffects
+        The final fit to all pixels, with the tests of its effects.
     """
     evidence = measure_thinned_evidence(declared)
     log(f"a free shape takes {evidence.drop:.0f}, {100 * evidence.rms:.2f} % of the peak")
@@ -139,6 +130,7 @@ def select_effects(
         if selected.fit is not declared:
             evidence = measure_thinned_evidence(selected.fit)
             log(f"a free shape takes {evidence.drop:.0f} beside them, {100 * evidence.rms:.2f} % of the peak")
+        # The drop is set to 0 if the shape differs less than `SHAPE_FLOOR` from the declared one.
         if evidence.drop == 0:
             return selected
     free = fit_free_shape(declared)
@@ -146,6 +138,7 @@ def select_effects(
     path = select_forward(free, effects, scales, log, update)
     assert path is not None
     last = path[-1] if path[-1].fit.has_converged else finish_step(path[-1])
+    # Structure of the light between the nodes of the free shape; the same fit if the frames show none.
     fine = add_fine_structure(last.fit)
     log(f"structure between the nodes takes {last.fit.deviance - fine.deviance:.0f}")
     if fine is not last.fit:
@@ -156,8 +149,11 @@ def select_effects(
 def select_again(
     selected: SelectedEffects, pixels: Pixels, effects: Sequence[Effect], scales: EffectScales, log: Log, update: Update
 ) -> SelectedEffects:
-    """Return the selection on pixels with another variance: selected effects are tested anew, others sought beside
-    those that pass."""
+    """Return the selection on pixels with another variance or dispersion.
+
+    The effects that are selected already are tested anew, and others are sought beside those that pass. Other
+    parameters are as in `select_effects`.
+    """
     start = SelectionStep(fit_jointly(selected.fit.model, pixels), np.nan)
     passed = eliminate_backward([start], scales, log)
     path = select_forward(passed.fit, effects, scales, log, update)
@@ -175,22 +171,24 @@ def select_forward(
     update: Update,
     shape: ShapeEvidence | None = None,
 ) -> list[SelectionStep] | None:
-    """Return the steps from no effect to the last one.
+    """Return the steps of the forward selection, the first with `fit` as it is.
 
-    `shape` is the evidence for a free shape without effects; with it, the result is None if no effect takes enough of
-    what a free shape takes.
+    `shape` is the evidence for a free shape beside `fit`. The result is None if no effect takes enough of the drop by
+    that shape. With None nothing is demanded, and the result is never None. Other parameters are as in
+    `select_effects`.
     """
     path = [SelectionStep(fit, np.nan)]
-    for number in range(MOST_EFFECTS):
+    for added in range(MOST_EFFECTS):
         present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
-        demand = ShapeDemand(present, number, shape)
+        demand = ShapeDemand(present, added, shape)
         best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log, demand)
         if not demand.is_met_by(best):
-            log(f"a free shape takes {demand.drop:.0f}, no effect enough of it: not the declared light")
+            log(f"a free shape takes {demand.drop_of_shape:.0f}, no effect enough of it: not the declared light")
             return None
         if best is None:
             break
+        # An effect whose strength differs between parts of the spot by more than it gains has a wrong formula.
         cells = compare_cells(best.fit, best.last_effect.name)
         if cells.q > max(best.gain, cells.limit(best.gain)):
             log(f"  cells disagree about {best.last_effect.name} by more than it gains: Q {cells.q:.0f}")
@@ -200,50 +198,53 @@ def select_forward(
 
 
 class ShapeDemand:
-    """What the next effect beside the declared shape must take of what a free shape would take.
+    """Drop that the next effect beside the declared shape must give, as a share of the drop by a free shape.
 
     Parameters
     ----------
     present : JointFit
         Fit with the effects so far.
-    number : int
+    added : int
         Number of effects that the selection has added.
     shape : ShapeEvidence or None
-        Evidence for a free shape without effects; None beside a free shape, where nothing is demanded.
+        Evidence for a free shape without added effects; None beside a free shape, where nothing is demanded.
     """
 
-    def __init__(self, present: JointFit, number: int, shape: ShapeEvidence | None) -> None:
-        self._present, self._number, self._shape = present, number, shape
+    def __init__(self, present: JointFit, added: int, shape: ShapeEvidence | None) -> None:
+        self._present, self._added, self._shape = present, added, shape
 
     @cached_property
-    def drop(self) -> float:
-        """Drop of −2 ln L by a free shape beside the effects so far."""
+    def drop_of_shape(self) -> float:
+        """Drop by a free shape beside the effects so far; 0 if nothing is demanded."""
         if self._shape is None:
             return 0.0
-        return self._shape.drop if self._number == 0 else measure_thinned_evidence(self._present).drop
+        return self._shape.drop if self._added == 0 else measure_thinned_evidence(self._present).drop
 
     def least_drop(self, effect: Effect) -> float:
-        """Return the drop of −2 ln L that an effect must take.
+        """Return the drop over the dispersion that an effect must give.
 
-        A static shape that leaves much of what a free shape takes is no reason to stay with the declared light: it
-        would be named by the explanation of the free shape as well. Noise takes nothing of a shape: it only makes
-        misfit count less.
+        A static shape must leave little for a free shape: if it does not, the declared light is not kept, and the
+        explanation of the free shape names the static shape as well. An effect that acts on the noise explains nothing
+        of a shape, it only makes misfit count less: it must wait until a free shape gives no drop.
         """
         if effect.acts_on_noise:
-            return np.inf if self.drop > 0 else 0.0
-        share = SHAPE_SHARES[min(self._number, len(SHAPE_SHARES) - 1)]
-        return (max(share, EXPLAINED_SHARE) if effect.is_static_shape else share) * self.drop
+            return np.inf if self.drop_of_shape > 0 else 0.0
+        share = SHAPE_SHARES[min(self._added, len(SHAPE_SHARES) - 1)]
+        return (max(share, EXPLAINED_SHARE) if effect.is_static_shape else share) * self.drop_of_shape
 
     def is_met_by(self, best: SelectionStep | None) -> bool:
-        """Whether the next effect takes enough; of no effect nothing more is demanded once one was added."""
+        """Return whether the next effect gives enough.
+
+        Without a next effect (None) the demand is met, unless a free shape gives a drop and no effect was added yet.
+        """
         if best is None:
             return not self.is_unmet()
-        drop = (self._present.deviance - best.fit.deviance) / self._present.pixels.dispersion
-        return drop >= self.least_drop(best.last_effect)
+        drop_of_effect = (self._present.deviance - best.fit.deviance) / self._present.pixels.dispersion
+        return drop_of_effect >= self.least_drop(best.last_effect)
 
     def is_unmet(self) -> bool:
-        """Whether a free shape takes something before any effect was added."""
-        return self._number == 0 and self.drop > 0
+        """Return whether a free shape gives a drop and no effect was added yet."""
+        return self._added == 0 and self.drop_of_shape > 0
 
 
 def add_best_effect(
@@ -251,49 +252,50 @@ def add_best_effect(
 ) -> SelectionStep | None:
     """Return the step with the effect that gains most, or None if none gains enough.
 
-    An effect that takes too little of what a free shape takes, on the thinned pixels, is not fitted to all of them.
+    Candidates are ranked by score tests, then by refits, on the thinned pixels; the best ones are fitted to all pixels.
+
+    Parameters
+    ----------
+    present : JointFit
+        Fit to all pixels with the effects so far.
+    effects : sequence of Effect
+        Effects that it does not contain.
+    thin : Pixels
+        Thinned pixels.
+    scales : EffectScales
+        Typical sizes of the dataset.
+    log : callable
+        Receives lines of text.
+    demand : ShapeDemand
+        What the effect must give; refits far below it are not fitted to all pixels.
     """
-    dispersion = present.pixels.dispersion
-    ratio = present.pixels.count / thin.count / dispersion
+    # Scale of drops on the thinned pixels to drops on all pixels over the dispersion.
+    ratio = present.pixels.count / thin.count / present.pixels.dispersion
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     if demand.is_unmet():
         effects = [effect for effect in effects if not effect.acts_on_noise]
     candidates = screen_candidates(thinned, list_starts(effects, scales))
-    log("screen " + ", ".join(f"{_text(c.start)} {c.score * ratio:.0f}" for c in candidates[:5]))
+    logged = (f"{describe_start(c.start)} {c.score * ratio:.0f}" for c in candidates[:LOGGED_CANDIDATES])
+    log("screen " + ", ".join(logged))
     refits = refit_candidates(thinned, candidates, present, scales, log)
-    fits: dict[str, FullFit] = {}  # the best of each effect
-    best = ""
+    fits: dict[str, FullFit] = {}  # best fit of each effect, by name
+    best = ""  # name of the best effect so far
     for refit in refits[:MOST_FULL_FITS]:
-        name, candidate = refit.candidate.start.effect.name, refit.candidate
-        least = least_drop_of(candidate, present)
-        if refit.value < least / 2 or is_negligible(refit.model.effect_named(name), scales):
+        if not may_win(refit, refits[0], best) or not is_worth_fitting(refit, present, scales, demand):
             continue
-        if best:
-            if name == best and refit.is_at_bound:
-                continue
-            margin = max(VARIANT_MARGIN, 0.01 * refits[0].value)
-            if refit.value < (refits[0].value - margin if name == best else RIVAL_SHARE * refits[0].value):
-                continue
-        if refit.value < REFIT_SHARE * demand.least_drop(candidate.start.effect):
+        full = fit_all_pixels(refit, thinned, present, scales, log)
+        if full is None:
             continue
-        start = transfer_refit(refit.model, thinned.model, present.model)
-        least_value = least - PARAMETER_PRICE
-        target = present.deviance - (least_value + price_of(candidate)) * dispersion
-        full = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
-        value = (present.deviance - full.deviance) / dispersion - price_of(candidate)
-        log(f"  {_text(candidate.start)}: {value:.0f} on all pixels, converged {full.has_converged}")
-        if not full.has_converged or value < least_value or is_negligible(full.model.effect_named(name), scales):
-            continue
+        name = refit.effect_name
         known = fits.get(name)
-        is_tied = known is not None and abs(value - known.value) < VARIANT_TIE
-        if known is None or (candidate.place < known.place if is_tied else value > known.value):
-            of_effect = float(present.pixels.dispersion_of(candidate.field_share))
-            fits[name] = FullFit(full, value, candidate.place, of_effect)
+        is_tied = known is not None and abs(full.value - known.value) < VARIANT_TIE
+        if known is None or (full.place < known.place if is_tied else full.value > known.value):
+            fits[name] = full
         best = max(fits, key=lambda name: fits[name].value)
     if not best:
         return None
     best = find_special_case(best, fits, least_gain(present.model))
-    # An effect that has the leader as a special case fits as well in any case: it is no rival.
+    # An effect that has the best one as a special case fits as well in any case: it is no rival.
     general = {effect.name for effect in effects if best in effect.special_cases}
     behind = {name: max(fits[best].value - fits[name].value, 0.0) for name in fits if name not in {best, *general}}
     rivals = {name: difference for name, difference in behind.items() if difference < VARIANT_TIE}
@@ -301,10 +303,53 @@ def add_best_effect(
     return SelectionStep(fits[best].fit, gain, {best: rivals} if rivals else {})
 
 
-def find_special_case(name: str, fits: Mapping[str, FullFit], least_drop: float) -> str:
-    """Return the name of the special case of an effect that fits as well, if there is one, else its own name.
+def may_win(refit: Refit, leader: Refit, best: str) -> bool:
+    """Return whether a refit may give more on all pixels than the best effect so far ("" for none).
 
-    The strength of an effect is what it has beyond its special case: it must lower −2 ln L by `least_drop` itself.
+    `leader` is the refit with the largest drop on the thinned pixels.
+    """
+    if not best:
+        return True
+    if refit.effect_name != best:
+        return refit.value >= RIVAL_SHARE * leader.value
+    margin = max(VARIANT_MARGIN, VARIANT_MARGIN_SHARE * leader.value)
+    return not refit.is_at_bound and refit.value >= leader.value - margin
+
+
+def is_worth_fitting(refit: Refit, present: JointFit, scales: EffectScales, demand: ShapeDemand) -> bool:
+    """Return whether a refit reaches its parts of the least gain and of the demand, with a strength that matters."""
+    effect = refit.model.effect_named(refit.effect_name)
+    if refit.value < REFIT_GAIN_SHARE * least_drop_of(refit.candidate, present) or is_negligible(effect, scales):
+        return False
+    return refit.value >= REFIT_SHARE * demand.least_drop(effect.effect)
+
+
+def fit_all_pixels(
+    refit: Refit, thinned: JointFit, present: JointFit, scales: EffectScales, log: Log
+) -> FullFit | None:
+    """Return the fit of a refit's model to all pixels; None if it fails, gains too little or has no strength.
+
+    `thinned` and `present` are fits of the model without the effect, to the thinned and to all pixels.
+    """
+    candidate, dispersion = refit.candidate, present.pixels.dispersion
+    start = transfer_refit(refit.model, thinned.model, present.model)
+    # The least gain is that of an effect with one parameter; each further one must pay its price.
+    least_value = least_drop_of(candidate, present) - PARAMETER_PRICE
+    target = present.deviance - (least_value + price_of(candidate)) * dispersion
+    fit = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
+    value = (present.deviance - fit.deviance) / dispersion - price_of(candidate)
+    log(f"  {describe_start(candidate.start)}: {value:.0f} on all pixels, converged {fit.has_converged}")
+    applied = fit.model.effect_named(refit.effect_name)
+    if not fit.has_converged or value < least_value or is_negligible(applied, scales):
+        return None
+    return FullFit(fit, value, candidate.place, float(present.pixels.dispersion_of(candidate.field_share)))
+
+
+def find_special_case(name: str, fits: Mapping[str, FullFit], least_drop: float) -> str:
+    """Return the name of a special case of an effect that fits nearly as well, else the effect's own name.
+
+    The strength of an effect is what it has beyond its special case: it must give a drop of `least_drop` itself.
+    `fits` are the best fits by the names of effects.
     """
     for other in fits[name].fit.model.effect_named(name).effect.special_cases:
         if other in fits:
@@ -315,80 +360,30 @@ def find_special_case(name: str, fits: Mapping[str, FullFit], least_drop: float)
 
 
 def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) -> JointModel:
-    """Return a start on all pixels for a model that was fitted to thinned ones.
+    """Return a start on all pixels for a model that was fitted to the thinned pixels.
 
-    Spots and shape change from those of the present model by what the new effect changed on the thinned pixels: the
-    noise of these cancels.
+    Spots and shape are those of the present model, plus what the new effect changed on the thinned pixels. The noise of
+    the thinned pixels cancels in this difference.
+
+    Parameters
+    ----------
+    refit : JointModel
+        Model with the effect, fitted to the thinned pixels.
+    thinned, present : JointModel
+        Model without the effect, fitted to the thinned and to all pixels.
     """
-    rows = zip(refit.spots.as_rows(), thinned.spots.as_rows(), present.spots.as_rows(), strict=True)
-    start = replace(refit, spots=FrameParameters(*(whole + new - old for new, old, whole in rows)))
+    spots = present.spots.as_rows() + refit.spots.as_rows() - thinned.spots.as_rows()
+    start = replace(refit, spots=FrameParameters(*spots))
     if refit.grid is None:
         return start
     return start.with_coefficients(present.coefficients + refit.coefficients - thinned.coefficients)
 
 
-def least_drop_of(candidate: Candidate, present: JointFit) -> float:
-    """Return the drop of −2 ln L over the light's dispersion that is the least gain over the candidate's own."""
-    pixels = present.pixels
-    return least_gain(present.model) * float(pixels.dispersion_of(candidate.field_share)) / pixels.dispersion
-
-
-def price_of(candidate: Candidate) -> float:
-    """Return what a candidate pays in −2 ln L for its parameters."""
-    start = candidate.start
-    return PARAMETER_PRICE * len(start.effect.parameters_of(start.variant))
-
-
-def refit_candidates(
-    thinned: JointFit, candidates: Sequence[Candidate], present: JointFit, scales: EffectScales, log: Log
-) -> list[Refit]:
-    """Refit the leading candidates and all variants of the best effect; the best first.
-
-    `present` is the fit to all pixels, to which values are scaled.
-    """
-    ratio = present.pixels.count / thinned.pixels.count / present.pixels.dispersion
-    refits: list[Refit] = []
-    tried: dict[tuple, int] = {}
-    most = MOST_REFITS if thinned.model.grid is None else MOST_REFITS_BESIDE_SHAPE
-    for candidate in candidates:
-        start = candidate.start
-        variant = (start.effect.name, start.variant)
-        variants = len({key for key in tried if key[0] == start.effect.name} - {variant})
-        if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= most:
-            break
-        if (
-            candidate.score * ratio < least_drop_of(candidate, present)
-            or tried.get(variant, 0) >= MOST_STARTS
-            or variants >= MOST_VARIANTS
-            or is_unresolved_shape(thinned, candidate)
-        ):
-            continue
-        refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
-        tried[variant] = tried.get(variant, 0) + 1
-    if not refits:
-        return []
-    leader = max(refits, key=lambda refit: refit.value).candidate.start.effect.name
-    for candidate in candidates:
-        variant = (candidate.start.effect.name, candidate.start.variant)
-        if variant[0] == leader and variant not in tried and candidate.score * ratio > MIN_GAIN:
-            refits.append(refit_candidate(thinned, candidate, ratio, scales, log))
-            tried[variant] = 1
-    return sorted(refits, key=lambda refit: -refit.value)
-
-
-def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scales: EffectScales, log: Log) -> Refit:
-    """Fit the present model with a candidate to the thinned pixels."""
-    fit = fit_jointly(
-        thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
-        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
-    )  # fmt: skip
-    drop = (thinned.deviance - fit.deviance) * ratio
-    log(f"    {_text(candidate.start)}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")
-    return Refit(candidate, fit.model, drop - price_of(candidate))
-
-
 def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log: Log) -> SelectedEffects:
-    """Remove effects that fail their test, the worst first, until all pass."""
+    """Remove effects that fail their test, the worst first, and refit, until all pass.
+
+    `path` holds the steps of the forward selection. If the last effect of a path fails, the step before it is taken.
+    """
     path = list(path)
     if not path[-1].fit.has_converged:
         path[-1] = finish_step(path[-1])
@@ -397,6 +392,7 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
         fit = path[-1].fit
         covariance = estimate_covariance(fit)
         names = fit.model.effect_names
+        # The gain of the last effect is known from the fit without it, if that has converged.
         known = {names[-1]: path[-1].gain} if len(path) > 1 and path[-2].fit.has_converged else {}
         tests = {name: assess_effect(fit, name, covariance, scales, known.get(name)) for name in names}
         for name, test in tests.items():
@@ -413,24 +409,19 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
 
 
 def finish_step(step: SelectionStep) -> SelectionStep:
-    """Return a step whose fit is carried on to convergence."""
+    """Return a step with its fit continued until it converges."""
     return replace(step, fit=fit_jointly(step.fit.model, step.fit.pixels))
 
 
 def withdraw_effects(
     selected: SelectedEffects, names: Sequence[str], scales: EffectScales, log: Log
 ) -> SelectedEffects:
-    """Return the selection without some effects, those that are left fitted and tested anew."""
+    """Return the selection without the named effects; the remaining ones are fitted and tested anew."""
     model = selected.fit.model
-    present = [name for name in names if name in model.effect_names]
-    if not present:
+    removed = [name for name in names if name in model.effect_names]
+    if not removed:
         return selected
-    for name in present:
+    for name in removed:
         model = model.without_effect(name)
     path = [SelectionStep(fit_jointly(model, selected.fit.pixels), np.nan)]
     return replace(eliminate_backward(path, scales, log), with_shape=selected.with_shape)
-
-
-def _text(start: AppliedEffect) -> str:
-    values = ", ".join(f"{name} {value:.4g}" for name, value in start.parameters.items())
-    return f"{start.effect.name} {start.variant.value} ({values})"

@@ -1,53 +1,68 @@
-"""Nodes of a free light shape, its roughness penalty, and the Cholesky factor of its information."""
+"""Nodes of a free light shape, its roughness penalty, and the Cholesky factor of its information.
+
+A free light shape is fitted beside the declared shape: a sum of cubic B-splines at the nodes of a square grid about the
+centre of the spot. Coordinates u and v are column and row from the centre in units of the spot's width σ. Coefficients,
+in peaks of the declared shape, are numbered row after row.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import linalg
 
 from spotcheck.discrepancy.spline_basis import NEIGHBOURS
 
-# Distance of the nodes [σ]: at 0.2 a bend of q = −0.018 appears on real beams without any effect.
+# Distance of the nodes [σ]: with 0.2 σ real beams appear to have an effect (a bend q = −0.018) that they do not have.
 STEP = 0.13
 # Half width of the square of nodes [σ]: real beams end at 4.6 rms widths, which may be 6 σ of the declared fit.
 HALF_WIDTH = 5.5
-# Prior standard deviation [peak] of a second difference of nodes 0.2 σ apart, for nodes without data.
+# Prior standard deviation [peak] of the second difference of coefficients, and the distance [σ] of nodes for which it
+# holds. It decides the shape where there are no data.
 ROUGHNESS_SD, ROUGHNESS_STEP = 0.3, 0.2
-# Added to the diagonal of the penalty, in terms of its weight: the penalty alone is singular for planes.
+# Number of neighbours along a line that the penalty on second differences couples with a node, itself included.
+COUPLED = 3
+# Added to the diagonal of the penalty [weight of the penalty]: the penalty alone is 0 for planes.
 RIDGE = 1e-3
-# The same for nodes beyond a circle within the square: the shape must end at 0.
+# The same for nodes beyond the circle within the square: the shape must end at 0.
 FIXED_AT_ZERO = 1e7
+# Solution of L x = b, or of L'x = b with trans=1, for a lower triangular matrix L.
+_solve_lower = partial(linalg.solve_triangular, lower=True, check_finite=False)
 
 
 @dataclass(frozen=True)
 class ShapeGrid:
-    """Nodes of a free shape."""
+    """Nodes of a free light shape: N × N places about the centre of the spot."""
 
     step: float = STEP  # distance of the nodes [σ]
     stiffness: float = 1.0  # factor of the roughness penalty
 
     @property
     def nodes(self) -> int:
-        """Nodes along each side."""
+        """Number N of nodes along each side."""
         return 2 * round(HALF_WIDTH / self.step) + 3
 
     @property
     def places(self) -> np.ndarray:
-        """Places of the nodes along each side [node, σ]."""
+        """Places of the nodes along each side from the centre [node, σ]."""
         return (np.arange(self.nodes) - (self.nodes - 1) / 2) * self.step
 
     @cached_property
     def penalty(self) -> dict[int, np.ndarray]:
-        """Matrix P of the penalty c'Pc in −2 ln L on the coefficients c [peak], as diagonals of its lower half."""
+        """Matrix P of the penalty c'Pc in −2 ln L on the coefficients c.
+
+        Keys are the distances of diagonals below the main one. Values are these diagonals [coefficient]: entry k is
+        P[k + key, k]; the last entries, for which k + key exceeds the matrix, are 0.
+        """
         nodes = self.nodes
         weight = self.stiffness / (ROUGHNESS_SD * (self.step / ROUGHNESS_STEP) ** 2) ** 2
-        second = np.diff(np.eye(nodes), 2, axis=0)
-        line = second.T @ second
+        # Matrix of the sum of squared second differences along one line of nodes.
+        second_differences = np.diff(np.eye(nodes), 2, axis=0)
+        line = second_differences.T @ second_differences
         penalty = {0: np.zeros(nodes * nodes)}
-        for distance in range(3):
+        for distance in range(COUPLED):
             along_u, along_v = np.zeros((nodes, nodes)), np.zeros((nodes, nodes))
             along_u[:, : nodes - distance] = np.diagonal(line, -distance)[None]
             along_v[: nodes - distance] = np.diagonal(line, -distance)[:, None]
@@ -59,7 +74,7 @@ class ShapeGrid:
         return penalty
 
     def penalize(self, coefficients: np.ndarray) -> np.ndarray:
-        """Return P c [coefficient]."""
+        """Return P c [coefficient] for coefficients c [coefficient, peak]: half the gradient of the penalty."""
         product = self.penalty[0] * coefficients
         for offset, values in self.penalty.items():
             if offset:
@@ -70,18 +85,28 @@ class ShapeGrid:
 
 
 class BlockFactor:
-    """Cholesky factor L of the information of a shape, in dense blocks as large as its band is wide.
+    """Cholesky factor L of the Fisher information of a shape's coefficients, in dense blocks.
 
-    Dense blocks let hundreds of right-hand sides be solved at the speed of matrix products.
+    The information is banded: it is cut into blocks as large as its band is wide, so that only blocks on the diagonal
+    and the ones below them are not 0. Products of dense blocks solve hundreds of right-hand sides fast.
+
+    Parameters
+    ----------
+    grid : ShapeGrid
+        Nodes of the shape, with the penalty.
+    band : array [row, coefficient]
+        Information from the pixels, in the form of `spline_basis.add_information`.
+    share : float
+        Part of the penalty that is added to it: 1, or the share of a subset of the pixels.
     """
 
     def __init__(self, grid: ShapeGrid, band: np.ndarray, share: float) -> None:
-        """Factor the sum of a share of the penalty and the band of `spline_basis.add_information`."""
         nodes = grid.nodes
-        self.count, self.size = nodes * nodes, NEIGHBOURS * nodes + NEIGHBOURS + 1
-        blocks = -(-self.count // self.size)
-        self.diagonal = np.zeros((blocks, self.size, self.size))
-        self.below = np.zeros((blocks, self.size, self.size))
+        self._count, self._size = nodes * nodes, NEIGHBOURS * nodes + NEIGHBOURS + 1
+        blocks = -(-self._count // self._size)
+        # Blocks on the diagonal, and below each of them [block, row, column]: first of the information, then of L.
+        self._diagonal = np.zeros((blocks, self._size, self._size))
+        self._below = np.zeros((blocks, self._size, self._size))
         width = 2 * NEIGHBOURS + 1
         for row, values in enumerate(band):
             offset = (row // width) * nodes + row % width - NEIGHBOURS
@@ -89,51 +114,49 @@ class BlockFactor:
                 self._add_diagonal(offset, values)
         for offset, values in grid.penalty.items():
             self._add_diagonal(offset, share * values)
-        padding = np.arange(self.count, blocks * self.size) - (blocks - 1) * self.size
-        self.diagonal[-1, padding, padding] = 1.0
+        # The last block is filled up with a unit matrix.
+        padding = np.arange(self._count, blocks * self._size) - (blocks - 1) * self._size
+        self._diagonal[-1, padding, padding] = 1.0
         for b in range(blocks):
-            block = np.tril(self.diagonal[b]) + np.tril(self.diagonal[b], -1).T
+            block = np.tril(self._diagonal[b]) + np.tril(self._diagonal[b], -1).T
             if b:
-                block -= self.below[b - 1] @ self.below[b - 1].T
-            self.diagonal[b] = linalg.cholesky(block, lower=True, check_finite=False)
+                block -= self._below[b - 1] @ self._below[b - 1].T
+            self._diagonal[b] = linalg.cholesky(block, lower=True, check_finite=False)
             if b + 1 < blocks:
-                self.below[b] = linalg.solve_triangular(
-                    self.diagonal[b], self.below[b].T, lower=True, check_finite=False
-                ).T
+                self._below[b] = _solve_lower(self._diagonal[b], self._below[b].T).T
 
     def _add_diagonal(self, offset: int, values: np.ndarray) -> None:
-        """Add values [coefficient] at (k + offset, k) of the matrix."""
-        k = np.arange(self.count - offset)
-        block, column = np.divmod(k, self.size)
-        row = k + offset - block * self.size
-        inside = row < self.size
-        np.add.at(self.diagonal, (block[inside], row[inside], column[inside]), values[k[inside]])
-        outside = ~inside
-        np.add.at(self.below, (block[outside], row[outside] - self.size, column[outside]), values[k[outside]])
+        """Add values [coefficient] to the diagonal `offset` below the main one: value k to (k + offset, k)."""
+        k = np.arange(self._count - offset)
+        block, column = np.divmod(k, self._size)
+        row = k + offset - block * self._size
+        is_inside = row < self._size
+        is_below = ~is_inside
+        np.add.at(self._diagonal, (block[is_inside], row[is_inside], column[is_inside]), values[k[is_inside]])
+        np.add.at(self._below, (block[is_below], row[is_below] - self._size, column[is_below]), values[k[is_below]])
 
     def half_solve(self, right: np.ndarray) -> np.ndarray:
-        """Return L⁻¹ right [coefficient, k]."""
-        solution = self._padded(right)
-        for b, (diagonal, below) in enumerate(zip(self.diagonal, self.below, strict=True)):
-            here = slice(b * self.size, (b + 1) * self.size)
-            solution[here] = linalg.solve_triangular(diagonal, solution[here], lower=True, check_finite=False)
-            if b + 1 < len(self.diagonal):
-                solution[here.stop : here.stop + self.size] -= below @ solution[here]
-        return solution[: self.count]
+        """Return L⁻¹ right [coefficient, k] of right-hand sides [coefficient, k]."""
+        solution = self._pad(right)
+        for b, (diagonal, below) in enumerate(zip(self._diagonal, self._below, strict=True)):
+            rows = slice(b * self._size, (b + 1) * self._size)
+            solution[rows] = _solve_lower(diagonal, solution[rows])
+            if b + 1 < len(self._diagonal):
+                solution[rows.stop : rows.stop + self._size] -= below @ solution[rows]
+        return solution[: self._count]
 
     def back_solve(self, right: np.ndarray) -> np.ndarray:
-        """Return L⁻ᵀ right [coefficient, k]."""
-        solution = self._padded(right)
-        for b in range(len(self.diagonal) - 1, -1, -1):
-            here = slice(b * self.size, (b + 1) * self.size)
-            if b + 1 < len(self.diagonal):
-                solution[here] -= self.below[b].T @ solution[here.stop : here.stop + self.size]
-            solution[here] = linalg.solve_triangular(
-                self.diagonal[b], solution[here], lower=True, trans=1, check_finite=False
-            )
-        return solution[: self.count]
+        """Return L⁻ᵀ right [coefficient, k] of right-hand sides [coefficient, k]."""
+        solution = self._pad(right)
+        for b in range(len(self._diagonal) - 1, -1, -1):
+            rows = slice(b * self._size, (b + 1) * self._size)
+            if b + 1 < len(self._diagonal):
+                solution[rows] -= self._below[b].T @ solution[rows.stop : rows.stop + self._size]
+            solution[rows] = _solve_lower(self._diagonal[b], solution[rows], trans=1)
+        return solution[: self._count]
 
-    def _padded(self, right: np.ndarray) -> np.ndarray:
-        padded = np.zeros((len(self.diagonal) * self.size, right.shape[1]))
-        padded[: self.count] = right
+    def _pad(self, right: np.ndarray) -> np.ndarray:
+        """Return right-hand sides [coefficient, k], filled up with zeros to whole blocks."""
+        padded = np.zeros((len(self._diagonal) * self._size, right.shape[1]))
+        padded[: self._count] = right
         return padded

@@ -1,7 +1,9 @@
 """Sums over pixels of the spline basis of a free light shape, compiled.
 
-Coefficient (row j, column i) of the shape has the number j · nodes + i. A pixel at (u, v) [σ] sees 16 of them. Points
-are flat arrays over the pixels of all frames of a batch, and over the copies of the spot if there are several.
+The basis functions are products of cubic B-splines along u and v. The coefficient of node (row j, column i) of the
+nodes × nodes grid has the number j · nodes + i. At a pixel at (u, v) [σ from the centre] only the 4 × 4 splines of the
+nearest nodes differ from 0. Points are pixels of several frames; all arrays over points are flat. `per_step` is the
+number of nodes per σ. Points outside the grid are left out.
 """
 
 import math
@@ -11,50 +13,58 @@ from spotcheck.sensor.codes import compiled
 
 # Coefficients that lie more than so many rows or columns apart share no pixel.
 NEIGHBOURS = 3
+# Splines along an axis that differ from 0 at a point.
+SPLINES = NEIGHBOURS + 1
 
 
 @compiled
-def add_products(per_step, nodes, u, v, factor, values, out):
-    """Add Σ factor · basis · values to out [coefficient, k]; values [point, k]."""
+def add_products(per_step, nodes, u, v, factor, values, sums):
+    """Add Σ over points of factor · basis · values to `sums` [coefficient, k].
+
+    u, v, factor [point]; values [point, k].
+    """
     middle = (nodes - 1) / 2
     for n in range(u.size):
         x, y = u[n] * per_step + middle, v[n] * per_step + middle
         if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
+        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
         for k in range(values.shape[1]):
             value = factor[n] * values[n, k]
-            for q in range(4):
+            for q in range(SPLINES):
                 index = (row + q - 1) * nodes + column - 1
-                for p in range(4):
-                    out[index + p, k] += value * of_row[q] * of_column[p]
+                for p in range(SPLINES):
+                    sums[index + p, k] += value * row_weights[q] * column_weights[p]
 
 
 @compiled
-def add_values(per_step, nodes, u, v, factor, coefficients, out):
-    """Add factor · Σ basis · coefficients to out [point, k]; coefficients [coefficient, k]."""
+def add_values(per_step, nodes, u, v, factor, coefficients, values):
+    """Add factor · Σ over coefficients of basis · coefficients to `values` [point, k].
+
+    u, v, factor [point]; coefficients [coefficient, k].
+    """
     middle = (nodes - 1) / 2
     for n in range(u.size):
         x, y = u[n] * per_step + middle, v[n] * per_step + middle
         if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
-        for q in range(4):
-            for p in range(4):
-                tap = factor[n] * of_row[q] * of_column[p]
+        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
+        for q in range(SPLINES):
+            for p in range(SPLINES):
+                value = factor[n] * row_weights[q] * column_weights[p]
                 index = (row + q - 1) * nodes + column + p - 1
                 for k in range(coefficients.shape[1]):
-                    out[n, k] += tap * coefficients[index, k]
+                    values[n, k] += value * coefficients[index, k]
 
 
 @compiled
 def add_information(per_step, nodes, u, v, weight, band):
-    """Add Σ weight · basis · basis' to band [(NEIGHBOURS + 1) (2 NEIGHBOURS + 1), coefficient].
+    """Add Σ over points of weight · basis · basis' to `band` [(NEIGHBOURS + 1) (2 NEIGHBOURS + 1), coefficient].
 
-    Row dj (2 NEIGHBOURS + 1) + di + NEIGHBOURS of the band holds, for coefficient k, the information with the one dj
-    rows and di columns further.
+    u, v, weight [point]. The matrix is symmetric: for coefficient k, row dj (2 NEIGHBOURS + 1) + di + NEIGHBOURS of the
+    band holds the information with the coefficient dj rows and di columns further, dj ≥ 0.
     """
     middle = (nodes - 1) / 2
     for n in range(u.size):
@@ -62,14 +72,14 @@ def add_information(per_step, nodes, u, v, weight, band):
         if weight[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
             continue
         column, row = math.floor(x), math.floor(y)
-        of_column, of_row = cubic_weights(x - column), cubic_weights(y - row)
-        for q in range(4):
-            for p in range(4):
-                tap = weight[n] * of_row[q] * of_column[p]
+        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
+        for q in range(SPLINES):
+            for p in range(SPLINES):
+                product = weight[n] * row_weights[q] * column_weights[p]
                 index = (row + q - 1) * nodes + column + p - 1
-                for dq in range(4 - q):
-                    for other in range(4):
-                        if dq > 0 or other >= p:
-                            band[dq * (2 * NEIGHBOURS + 1) + other - p + NEIGHBOURS, index] += (
-                                tap * of_row[q + dq] * of_column[other]
+                for dq in range(SPLINES - q):
+                    for p_other in range(SPLINES):
+                        if dq > 0 or p_other >= p:
+                            band[dq * (2 * NEIGHBOURS + 1) + p_other - p + NEIGHBOURS, index] += (
+                                product * row_weights[q + dq] * column_weights[p_other]
                             )

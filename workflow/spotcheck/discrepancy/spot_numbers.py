@@ -1,9 +1,13 @@
-"""Brightness, width and centre of the spots of a fit, with their covariance: what laws are fitted to."""
+"""Spot parameters of a fit with their covariance, to which laws across frames are fitted.
+
+The spot parameters of a frame are ln peak, ln σ, x and y, with the peak in DN, the width σ_g and the centre in px.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS
 from spotcheck.discrepancy.frames import Design, FrameParameters
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.normal_equations import invert_information
@@ -11,12 +15,13 @@ from spotcheck.discrepancy.normal_equations import invert_information
 
 @dataclass(frozen=True)
 class SpotNumbers:
-    """Brightness and width of F frames with their covariance."""
+    """Spot parameters of F frames with their covariance."""
 
     design: Design  # conditions of the frames
-    spots: FrameParameters  # spot of each frame
+    spots: FrameParameters  # spot parameters of the frames
     covariance: np.ndarray  # of ln peak, ln σ, x, y of frame after frame [4F, 4F]
-    field_variance: tuple[float, ...] = (0.0,) * 4  # part of the variances by granular light, mean over the frames
+    # Variance of each spot parameter by granular light, which `covariance` contains; mean over the frames.
+    field_variance: tuple[float, ...] = (0.0,) * SPOT_PARAMETERS
 
     @property
     def observations(self) -> np.ndarray:
@@ -24,30 +29,36 @@ class SpotNumbers:
         return np.concatenate([self.spots.log_peak, self.spots.log_sigma])
 
     def covariance_of(self, *parameters: int) -> np.ndarray:
-        """Return the covariance of parameters (0 … 3) of all frames, one parameter after the other."""
-        frames = np.arange(len(self.spots.x))
-        index = np.concatenate([4 * frames + parameter for parameter in parameters])
+        """Return the covariance [nF, nF] of n spot parameters of all frames, one parameter after the other.
+
+        Parameters are numbered: 0 ln peak, 1 ln σ, 2 x, 3 y.
+        """
+        first = SPOT_PARAMETERS * np.arange(len(self.spots.x))
+        index = np.concatenate([first + parameter for parameter in parameters])
         return self.covariance[np.ix_(index, index)]
 
 
 def numbers_of_fit(fit: JointFit, by_field: np.ndarray | None = None) -> SpotNumbers:
-    """Return brightness and width of the spots of a fit.
+    """Return the spot parameters of a fit with their covariance.
 
     Parameters
     ----------
     fit : JointFit
-        Fit of the spots.
-    by_field : array [4F, 4F], optional
-        What granular light adds to their covariance.
+        Fit of the spots of F frames.
+    by_field : array [4F, 4F] or None
+        Covariance that granular light adds; None without granular light.
     """
     covariance = covariance_of_spots(fit)
     if by_field is None:
         return SpotNumbers(fit.model.design, fit.model.spots, covariance)
-    of_field = tuple(np.diag(by_field).reshape(-1, 4).mean(axis=0))
-    return SpotNumbers(fit.model.design, fit.model.spots, covariance + by_field, of_field)
+    field_variance = tuple(np.diag(by_field).reshape(-1, SPOT_PARAMETERS).mean(axis=0))
+    return SpotNumbers(fit.model.design, fit.model.spots, covariance + by_field, field_variance)
 
 
 def covariance_of_spots(fit: JointFit) -> np.ndarray:
-    """Return the covariance of ln peak, ln σ, x, y of frame after frame [4F, 4F] by the information of a fit."""
-    spots = 4 * fit.equations.frames
-    return invert_information(fit.equations.information)[:spots, :spots]
+    """Return the covariance of ln peak, ln σ, x, y of frame after frame [4F, 4F], from the Fisher information of a fit.
+
+    Fitted parameters of sensor and effects are free; a free light shape is as well.
+    """
+    count = SPOT_PARAMETERS * fit.equations.frames
+    return invert_information(fit.equations.information)[:count, :count]

@@ -1,6 +1,10 @@
-"""Spots of single frames: where fits start, and fits of one frame under a model that is fixed otherwise."""
+"""Spots of single frames: starting values by fits.nc or by moments, and fits of single frames under a fixed model.
 
-from collections.abc import Iterable
+The spot parameters of a frame are ln peak, ln σ, x and y, with the peak in DN, the width σ_g and the centre in px. A
+cell is a pair of an index on the grid of the dataset and the row of the manifest of a spot frame.
+"""
+
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -10,7 +14,7 @@ import xarray as xr
 from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
-from spotcheck.discrepancy.evaluation import THREADS
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, THREADS
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import is_law
@@ -22,52 +26,57 @@ from spotcheck.model.effect import AppliedEffect, RandomStep
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.stage import Stage
 
-# Smallest peak [DN] and width σ_g [px] from which a fit starts, and the largest width [sides of a crop].
+# Smallest peak [DN] and width σ_g [px] from which a fit starts, and the largest width [longest side of a crop].
 LEAST_PEAK_DN, LEAST_SIGMA_PX, LARGEST_SIGMA = 1.0, 0.3, 1.0
-# Width [sides of a crop] of a spot of which neither fit nor moments are known.
+# Width [longest side of a crop] of a spot that has neither a fit nor moments.
 UNKNOWN_SIGMA = 0.1
-# Largest width [sides of a crop] of a fit that is trusted: a wider spot cannot be told from a background.
+# Largest width [shortest side of a crop] of a fit that is trusted: a wider spot cannot be distinguished from a
+# background.
 WIDEST_SPOT = 0.7
-# Names in fits.nc of peak, width and centre.
+# Names in fits.nc of peak [DN], width [px], column and row of the centre [px].
 FITTED = ("amplitude", "sigma_mean", "x_centre", "y_centre")
+# D4σ, a second-moment width, in standard deviations of a Gaussian.
+D4SIGMA = 4
+
+Cell = tuple[tuple[int, ...], Frame]
 
 
 @dataclass(frozen=True)
 class FittedSpots:
     """Spots of F frames, each fitted alone."""
 
-    spots: FrameParameters  # of the frames
+    spots: FrameParameters  # spot parameters of the frames
     covariance: np.ndarray  # of ln peak, ln σ, x and y of each frame [frame, 4, 4]
-    has_converged: np.ndarray  # whether the fit of a frame has converged [frame]
+    has_converged: np.ndarray  # True for frames whose fit has converged [frame]
 
     @property
     def joint_covariance(self) -> np.ndarray:
-        """Covariance of the parameters of frame after frame [4F, 4F]."""
-        frames = len(self.covariance)
-        out = np.zeros((frames, 4, frames, 4))
-        out[np.arange(frames), :, np.arange(frames)] = self.covariance
-        return out.reshape(4 * frames, 4 * frames)
+        """Covariance of the spot parameters of frame after frame [4F, 4F]: 0 between frames."""
+        count = len(self.covariance)
+        joint = np.zeros((count, SPOT_PARAMETERS, count, SPOT_PARAMETERS))
+        joint[np.arange(count), :, np.arange(count)] = self.covariance
+        return joint.reshape(SPOT_PARAMETERS * count, SPOT_PARAMETERS * count)
 
 
-def usable_cells(dataset: Dataset, status: xr.DataArray) -> list[tuple[tuple[int, ...], Frame]]:
-    """Return place on the grid and row of the manifest of each usable spot frame, in the order of `load_frames`.
+def usable_cells(dataset: Dataset, status: xr.DataArray) -> list[Cell]:
+    """Return the cells of the usable spot frames, in the order of the manifest and of `frames.load_frames`.
 
     Parameters
     ----------
     dataset : Dataset
         The dataset.
     status : xr.DataArray
-        Flags of the crops over the grid, at one centring.
+        Flags of the crops over the grid, for one way of centring them.
     """
-    # A name of a dimension that was not recorded is kept by the file of crops as well.
+    # crops.nc has all dimensions of the grid, also those without recorded values.
     dims = [axis.name for axis in dataset.axes]
-    number = {id(frame): k for k, frame in enumerate(dataset.spots)}
-    cells = [(at, frame) for at, frame in dataset.cells() if is_usable(status.isel(dict(zip(dims, at, strict=True))))]
-    return sorted(cells, key=lambda cell: number[id(cell[1])])
+    position = {id(frame): k for k, frame in enumerate(dataset.spots)}
+    cells = [cell for cell in dataset.cells() if is_usable(status.isel(dict(zip(dims, cell[0], strict=True))))]
+    return sorted(cells, key=lambda cell: position[id(cell[1])])
 
 
-def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[tuple[tuple[int, ...], Frame]]) -> FrameParameters:
-    """Return the spots of frames as fits.nc has them; those of frames without a trusted fit come from moments.
+def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[Cell]) -> FrameParameters:
+    """Return the spots of frames by fits.nc, or by second moments for frames without a trusted fit.
 
     Parameters
     ----------
@@ -76,20 +85,19 @@ def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[tuple[tuple[i
     frames : FrameSet
         The frames.
     cells : iterable of (index, Frame)
-        Place of each frame on the grid, as `usable_cells` returns it.
+        Cell of each frame, in the order of `usable_cells`.
     """
-    trusted = _trusted_fits(fits, cells)
-    rows = [_spot_by_moments(frames, f) if row is None else row for f, row in enumerate(trusted)]
-    return _as_parameters(np.array(rows).reshape(-1, 4), frames)
+    rows = enumerate(_trusted_fits(fits, cells))
+    return _as_parameters([_spot_by_moments(frames, frame) if row is None else row for frame, row in rows], frames)
 
 
-def has_trusted_fit(fits: xr.Dataset, cells: Iterable[tuple[tuple[int, ...], Frame]]) -> bool:
+def has_trusted_fit(fits: xr.Dataset, cells: Iterable[Cell]) -> bool:
     """Return whether fits.nc has a trusted fit of any frame; parameters as in `load_spots`."""
     return any(row is not None for row in _trusted_fits(fits, cells))
 
 
-def _trusted_fits(fits: xr.Dataset, cells: Iterable[tuple[tuple[int, ...], Frame]]) -> list[np.ndarray | None]:
-    """Return peak [DN], width [px], column and row of each frame; None without a trusted fit."""
+def _trusted_fits(fits: xr.Dataset, cells: Iterable[Cell]) -> list[np.ndarray | None]:
+    """Return peak [DN], width, column and row [px] of each frame; None for frames without a trusted fit."""
     fit, dims = select_preferred_fits(fits), store.grid_dims(fits)
     status = fit["status"].transpose(*dims).values
     values = np.stack([fit[name].transpose(*dims).values.astype(float) for name in FITTED], axis=-1)
@@ -102,30 +110,34 @@ def _trusted_fits(fits: xr.Dataset, cells: Iterable[tuple[tuple[int, ...], Frame
 
 
 def spots_by_moments(frames: FrameSet) -> FrameParameters:
-    """Return the spots of frames by second moments, for frames that nobody has fitted."""
-    return _as_parameters(np.array([_spot_by_moments(frames, f) for f in range(len(frames))]).reshape(-1, 4), frames)
+    """Return the spots of frames by second moments of their readings."""
+    return _as_parameters([_spot_by_moments(frames, f) for f in range(len(frames))], frames)
 
 
-def _spot_by_moments(frames: FrameSet, number: int) -> np.ndarray:
-    """Return peak [DN], width [px], column and row of the spot of a frame; of a frame without light its middle."""
-    image = np.asarray(frames.readings[number], float)
+def _spot_by_moments(frames: FrameSet, frame: int) -> np.ndarray:
+    """Return peak [DN], width σ_g, column and row on the sensor [px] of a frame's spot by second moments.
+
+    Without a width the peak is the range of the readings. The centre is that of the light, or of the crop without
+    light.
+    """
+    image = np.asarray(frames.readings[frame], float)
     moments = second_moments(image)
-    corner = np.array([frames.left[number], frames.top[number]], float)
-    sigma = np.sqrt(moments.major * moments.minor) / 4  # D4σ
+    corner = np.array([frames.left[frame], frames.top[frame]], float)
+    sigma = np.sqrt(moments.major * moments.minor) / D4SIGMA
     peak = moments.light / (2 * np.pi * sigma**2)
     if np.isfinite([peak, sigma]).all() and min(peak, sigma) > 0:
         return np.array([peak, sigma, moments.x + corner[0], moments.y + corner[1]])
-    is_known = np.isfinite(image)
-    light = np.ptp(image[is_known]) if is_known.any() else 0.0
+    is_measured = np.isfinite(image)
+    reading_range = np.ptp(image[is_measured]) if is_measured.any() else 0.0
     middle = (np.array(image.shape[::-1]) - 1) / 2
     centre = np.array([moments.x, moments.y])
     centre = np.where(np.isfinite(centre), centre, middle) + corner
-    return np.array([light, UNKNOWN_SIGMA * max(image.shape), *centre])
+    return np.array([reading_range, UNKNOWN_SIGMA * max(image.shape), *centre])
 
 
-def _as_parameters(rows: np.ndarray, frames: FrameSet) -> FrameParameters:
-    """Return spots from peak, width, column and row [frame, 4], moved to what a fit may start from."""
-    peak, sigma, x, y = rows.T
+def _as_parameters(rows: Sequence[np.ndarray], frames: FrameSet) -> FrameParameters:
+    """Return spots from peak [DN], width, column and row [px] of each frame, clipped to what a fit may start from."""
+    peak, sigma, x, y = np.array(rows).reshape(-1, SPOT_PARAMETERS).T
     _, height, width = frames.readings.shape
     return FrameParameters(
         log_peak=np.log(np.maximum(peak, LEAST_PEAK_DN)),
@@ -136,21 +148,25 @@ def _as_parameters(rows: np.ndarray, frames: FrameSet) -> FrameParameters:
 
 
 def acts_on_mean(applied: AppliedEffect) -> bool:
-    """Return whether an effect enters the mean image of a frame whose brightness and width are fitted."""
+    """Return whether an effect enters the mean image of a frame whose brightness and width are fitted.
+
+    Laws of brightness and width do not, nor random effects, except those at the well of a pixel: averaged over pixels
+    they bend the mean.
+    """
     steps = applied.effect.variants[applied.variant]
     is_random = all(isinstance(step, RandomStep) and step.stage is not Stage.WELL for step in steps)
     return not is_random and not is_law(applied.effect)
 
 
 def fit_spots(forward: ForwardModel, frames: FrameSet, start: FrameParameters) -> FittedSpots:
-    """Fit the spot of each frame under a model.
+    """Fit the spot of each frame alone under a model whose other parameters are fixed.
 
-    Laws and random effects take no part: each frame has its own brightness, width and centre.
+    Laws across frames and random effects take no part, see `acts_on_mean`.
 
     Parameters
     ----------
     forward : ForwardModel
-        Baseline, sensor and effects, which are fixed.
+        Baseline, sensor and effects.
     frames : FrameSet
         The frames.
     start : FrameParameters
@@ -158,20 +174,20 @@ def fit_spots(forward: ForwardModel, frames: FrameSet, start: FrameParameters) -
     """
     forward = replace(forward, law=None, effects=tuple(filter(acts_on_mean, forward.effects)))
 
-    def fit_one(number: int) -> JointFit:
-        frame = frames.select(np.array([number]))
-        model = JointModel(forward, start.select(np.array([number])), frame.design)
-        return fit_jointly(model, select_pixels(frame, model.spots))
+    def fit_frame(frame: int) -> JointFit:
+        """Return the fit of one frame."""
+        selected = frames.select(np.array([frame]))
+        model = JointModel(forward, start.select(np.array([frame])), selected.design)
+        return fit_jointly(model, select_pixels(selected, model.spots))
 
     # Frames are fitted one by one, so that a frame's result does not depend on the others.
     with ThreadPoolExecutor(THREADS) as pool:
-        fits = list(pool.map(fit_one, range(len(frames))))
-    covariance = [
+        fits = list(pool.map(fit_frame, range(len(frames))))
+    covariances = [
         # A misfit widens the errors, and so does granular light that neighbouring pixels share.
         invert_information(fit.equations.information) * max(fit.equations.dispersion, fit.pixels.dispersion)
         for fit in fits
     ]
-    rows = np.array([fit.model.spots.as_rows()[:, 0] for fit in fits]).reshape(-1, 4)
-    return FittedSpots(
-        FrameParameters(*rows.T), np.array(covariance).reshape(-1, 4, 4), np.array([fit.has_converged for fit in fits])
-    )
+    rows = np.array([fit.model.spots.as_rows()[:, 0] for fit in fits]).reshape(-1, SPOT_PARAMETERS)
+    covariance = np.array(covariances).reshape(-1, SPOT_PARAMETERS, SPOT_PARAMETERS)
+    return FittedSpots(FrameParameters(*rows.T), covariance, np.array([fit.has_converged for fit in fits]))

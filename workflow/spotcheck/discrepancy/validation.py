@@ -1,54 +1,60 @@
 """Validation on held-out frames: how well nested models predict repeats that no earlier step has used.
 
-Brightness and width of a held-out frame come from the laws that were fitted to the other repeats. Only its centre, one
-for each site, is fitted to it; where sites vary, brightness and width of a new site are fitted under that variation.
+A site is the set of frames with the same angle, declared conditions and repeat, at several exposures. Brightness and
+width of a held-out frame come from laws across frames, which were fitted to the other repeats. Only the centre is
+fitted, one for each site; if brightness and width vary from site to site, those of each site are fitted as well, with
+their variation as a prior.
 
-The gap is the mean over blocks of `BLOCK_PX` pixels near the spot of (Σ r)²/Σ v, with the variance v of the noise of
-single pixels: noise alone gives 1. The score is −2 ln p of the frames, with all scatter of the model.
+The gap is the mean over blocks of `BLOCK_PX` pixels near the spot of (Σ r)²/Σ v, with the residual r of a pixel and the
+variance v of its noise: noise alone gives 1. The score is −2 ln p of the frames, with all scatter of the model. The
+spot parameters of a frame are ln peak, ln σ, x and y.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from spotcheck.discrepancy.evaluation import Evaluation, evaluate, map_batches
+from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, Evaluation, evaluate, map_batches
 from spotcheck.discrepancy.fields import correlated_area
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels, select_pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
-from spotcheck.discrepancy.residuals import ResidualImages, place_on_sensor, whole_crops
+from spotcheck.discrepancy.residuals import ResidualImages, place_on_sensor, sum_over_blocks, whole_crops
 from spotcheck.model.effect import AppliedEffect, RandomStep
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.stage import Stage
 
-# Side of the blocks, and distance from the spot [σ] within which they count.
+# Side of the blocks [px], and distance from the spot [σ] within which their pixels count.
 BLOCK_PX, GAP_RADIUS = 8, 3.5
-# Most steps of the fit of sites, the largest step of ln peak and ln σ [1] and of the centre [px], and the drop of
-# −2 ln L for each site at which it ends.
-SITE_STEPS, LARGEST_STEPS, SITE_TOLERANCE = 30, (0.7, 0.3, 4.0, 4.0), 0.02
-# Part of the diagonal of the information that is added where a step fails: at first, and from try to try.
+# Most steps of the fit of sites, to thinned and then to all pixels; largest steps of ln peak, ln σ [1], x and y [px];
+# and the drop of −2 ln L for each site at which the fit ends.
+SITE_STEPS, LAST_STEPS, LARGEST_STEPS, SITE_TOLERANCE = 30, 2, (0.7, 0.3, 4.0, 4.0), 0.02
+# Damping of a step [diagonal of the information]: at first, and the factor by which it grows with each step that fails.
 FIRST_DAMPING, DAMPING_FACTOR = 1e-2, 8.0
-# Steps of that fit on all pixels.
-LAST_STEPS = 2
-# Standard deviations of the gap beyond its floor up to which nothing is left open.
+# Excess of the gap over its floor, in standard deviations, above which it is significant.
 NOISE_Z = 2.0
-# Parameters of a spot that scatter from frame to frame: ln peak, x and y.
+# Indices of the spot parameters that may scatter from frame to frame: ln peak, x and y.
 SCATTERING = [0, 2, 3]
+# Singular values [largest one] that are taken for 0 in the step of a site.
+NULL_STEP = 1e-12
 
 
 @dataclass(frozen=True)
 class PixelGains:
-    """Gains of pixels, estimated from residuals; arrays [row, column] of a part of the sensor."""
+    """Gains of pixels, estimated from residuals; arrays [row, column] of the part of the sensor that crops cover."""
 
-    mean: np.ndarray  # relative gain less 1
-    variance: np.ndarray  # of that mean about the truth
-    prior_variance: float  # of pixels that no frame shows
+    mean: np.ndarray  # estimate of the relative gain less 1
+    variance: np.ndarray  # variance of the true gain about this estimate
+    prior_variance: float  # variance of the gain of a pixel that no frame shows
     top: int  # row of the sensor of row 0
     left: int  # column of the sensor of column 0
 
     def under_crop(self, top: int, left: int, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and variance [row, column] under a crop; 0 and that of the prior outside the known part."""
+        """Return mean and variance of the gains under a crop [row, column]; 0 and `prior_variance` outside the arrays.
+
+        `top` and `left` are row and column of the sensor under pixel (0, 0) of the crop, `shape` its rows and columns.
+        """
         mean, variance = np.zeros(shape), np.full(shape, self.prior_variance)
         rows, columns = (np.arange(size) + corner for size, corner in zip(shape, (top, left), strict=True))
         row_index, column_index = rows - self.top, columns - self.left
@@ -61,19 +67,19 @@ class PixelGains:
 
 @dataclass(frozen=True)
 class FrameScatter:
-    """Scatter of readings about their mean beyond the distribution of a single reading."""
+    """Scatter of readings about their mean that the model's distribution of a single reading does not contain."""
 
-    field_variance: float = 0.0  # relative variance of granular light that is not in the distribution of a reading
-    grain_px: float = 0.0  # standard deviation of the correlation of granular light [px]
-    row_variance: float = 0.0  # variance common to a row of a frame [DN²]
-    brightness_sd: float = 0.0  # of ln peak from frame to frame
-    centre_sd: float = 0.0  # of the centre along an axis from frame to frame [px]
-    site_sd: tuple[float, float] = (0.0, 0.0)  # of ln peak and ln σ from site to site
-    gains: PixelGains | None = field(default=None, repr=False)
+    field_variance: float = 0.0  # relative variance of granular light (speckle)
+    grain_px: float = 0.0  # standard deviation of the Gaussian correlation of granular light [px]; 0 for none
+    row_variance: float = 0.0  # variance of an offset that a row of a frame shares [DN²]
+    brightness_sd: float = 0.0  # standard deviation of ln peak from frame to frame
+    centre_sd: float = 0.0  # standard deviation of x and of y from frame to frame [px]
+    site_sd: tuple[float, float] = (0.0, 0.0)  # standard deviations of ln peak and ln σ from site to site
+    gains: PixelGains | None = field(default=None, repr=False)  # None: pixels have equal gains
 
     @property
     def frame_sd(self) -> np.ndarray:
-        """Standard deviations of ln peak, x and y from frame to frame."""
+        """Standard deviations of ln peak, x and y from frame to frame [3], in the order of `SCATTERING`."""
         return np.array([self.brightness_sd, self.centre_sd, self.centre_sd])
 
 
@@ -82,34 +88,42 @@ class NestedModel:
     """One model of the chain from the declared to the extended one."""
 
     added: str  # effect by which it exceeds the model before it; "" for the declared model
-    forward: ForwardModel  # with a law of peak and width
-    scatter: FrameScatter = FrameScatter()
+    forward: ForwardModel  # model of the mean image, with a law of peak and width
+    scatter: FrameScatter = FrameScatter()  # scatter beyond the forward model
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Held-out frames under one model."""
+    """Comparison of held-out frames with one model."""
 
-    gap: float  # mean over blocks of the squared sum of residuals over its variance; 1 is noise alone
-    floor: float  # its expectation under the model
-    deviation: float  # standard deviation of gap − floor under the model
-    rms_dn: float  # rms of block means beyond noise [DN]
-    score: float  # −2 ln p of all frames but for a constant
-    spots: FrameParameters  # predicted spots
+    gap: float  # see the module docstring
+    floor: float  # expectation of the gap if the model is right, 1 without scatter beyond single readings
+    deviation: float  # standard deviation of the gap if the model is right
+    rms_dn: float  # rms over blocks of the mean residual beyond noise [DN]
+    score: float  # −2 ln p of all frames, up to a constant
+    spots: FrameParameters  # predicted spots, with the fitted centres
 
     @property
     def left_open(self) -> float:
-        """What the model leaves of the gap; 0 if that is within `NOISE_Z` standard deviations."""
+        """Excess of the gap over its floor; 0 if it is not significant (`NOISE_Z`)."""
         return self.gap - self.floor if self.open_z > NOISE_Z else 0.0
 
     @property
     def open_z(self) -> float:
-        """Gap beyond its floor in standard deviations."""
+        """Excess of the gap over its floor in standard deviations."""
         return (self.gap - self.floor) / self.deviation
 
 
 def estimate_gains(images: ResidualImages, variance: float) -> PixelGains:
-    """Return the posterior of each pixel's gain under a prior variance, from residuals of frames."""
+    """Return the posterior mean and variance of each pixel's gain, by residuals of frames that were not held out.
+
+    Parameters
+    ----------
+    images : ResidualImages
+        Residuals of a fit.
+    variance : float
+        Prior variance of the relative gain.
+    """
     spot = images.spot.astype(float)
     factors = (images.residual * spot * images.weight, spot**2 * images.weight)
     score, information = (place_on_sensor(factor, images.left, images.top).sum(axis=0) for factor in factors)
@@ -118,7 +132,7 @@ def estimate_gains(images: ResidualImages, variance: float) -> PixelGains:
 
 
 def predict_frames(nested: NestedModel, frames: FrameSet, start: FrameParameters) -> Prediction:
-    """Compare held-out frames with a model.
+    """Return the comparison of held-out frames with a model.
 
     Parameters
     ----------
@@ -127,101 +141,111 @@ def predict_frames(nested: NestedModel, frames: FrameSet, start: FrameParameters
     frames : FrameSet
         Held-out frames.
     start : FrameParameters
-        Centres from which their fit starts, one mean for each site; peak and width are not used.
+        Spots of the frames. Their fit starts from the mean centre of each site; peak and width are not used.
     """
-    spots = _from_law(nested.forward, frames.design, _site_means(frames.design, start))
+    spots = _spots_of_law(nested.forward, frames.design, _average_centres(frames.design, start))
     effects = tuple(applied for applied in nested.forward.effects if not is_law(applied.effect))
     model = JointModel(replace(nested.forward, law=None, effects=effects), spots, frames.design)
-    near = select_pixels(frames, spots)
-    for pixels in (thin_pixels(near), near):
-        model = _fit_sites(model, pixels, nested.scatter.site_sd, SITE_STEPS if pixels is not near else LAST_STEPS)
-    return _measure(model, nested.scatter, frames)
+    pixels = select_pixels(frames, spots)
+    model = _fit_sites(model, thin_pixels(pixels), nested.scatter.site_sd, SITE_STEPS)
+    model = _fit_sites(model, pixels, nested.scatter.site_sd, LAST_STEPS)
+    return _compare_frames(model, nested.scatter, frames)
 
 
-def _site_means(design: Design, spots: FrameParameters) -> FrameParameters:
-    """Return the spots with the mean centre of each site."""
+def _average_centres(design: Design, spots: FrameParameters) -> FrameParameters:
+    """Return the spots with the mean centre of their site."""
     site = np.unique(design.site, return_inverse=True)[1]
     count = np.bincount(site)
-    x, y = (np.bincount(site, axis)[site] / count[site] for axis in (spots.x, spots.y))
+    x, y = (np.bincount(site, values)[site] / count[site] for values in (spots.x, spots.y))
     return replace(spots, x=x, y=y)
 
 
-def _from_law(model: ForwardModel, design: Design, spots: FrameParameters) -> FrameParameters:
-    """Return the spots with peak and width of the law."""
+def _spots_of_law(model: ForwardModel, design: Design, spots: FrameParameters) -> FrameParameters:
+    """Return the spots with peak and width by the law of a model."""
     spot = model.spot(spot_conditions(design))
     shape = (len(spots.x), 1, 1)
-    peak, sigma = (np.broadcast_to(part, shape).ravel() for part in (spot.peak_dn, spot.sigma_px))
+    peak, sigma = (np.broadcast_to(values, shape).ravel() for values in (spot.peak_dn, spot.sigma_px))
     return replace(spots, log_peak=np.log(peak), log_sigma=np.log(sigma))
 
 
 def _fit_sites(model: JointModel, pixels: Pixels, site_sd: tuple[float, float], steps: int) -> JointModel:
-    """Return the model with one centre for each site and, where sites vary, with one brightness and width.
+    """Return the model with the spot parameters of each site fitted to its frames, the rest kept.
 
-    Steps of Fisher scoring are damped until −2 ln L, with the normal prior of brightness and width, does not rise.
+    The frames of a site share the shift of their centres and, where `site_sd` (of ln peak and ln σ) is above 0, those
+    of ln peak and ln σ. Steps of Fisher scoring are damped until −2 ln L, with the normal prior of ln peak and ln σ,
+    does not rise.
     """
     site = np.unique(model.design.site, return_inverse=True)[1]
     is_free = np.array([site_sd[0] > 0, site_sd[1] > 0, True, True])
-    precision = np.array([1 / site_sd[k] ** 2 if site_sd[k] > 0 else 0.0 for k in (0, 1)] + [0.0, 0.0])
-    moved, start = np.zeros((site.max() + 1, 4)), model.spots.as_rows()
+    precision = np.array([1 / sd**2 if sd > 0 else 0.0 for sd in site_sd] + [0.0, 0.0])
+    # Shifts of the spot parameters from their start [site, parameter].
+    shift, start = np.zeros((site.max() + 1, SPOT_PARAMETERS)), model.spots.as_rows()
     equations, damping = assemble(model, pixels), 0.0
     for _ in range(steps):
         gradient, information = _sum_by_site(equations, site)
-        gradient = gradient - precision * moved
+        gradient = gradient - precision * shift
         information = information + np.diag(precision)
         step = np.zeros_like(gradient)
         for number in range(len(step)):
             free = information[number][np.ix_(is_free, is_free)]
             damped = free + damping * np.diag(np.diag(free))
-            step[number, is_free] = np.linalg.lstsq(damped, gradient[number, is_free], rcond=1e-12)[0]
+            step[number, is_free] = np.linalg.lstsq(damped, gradient[number, is_free], rcond=NULL_STEP)[0]
         step = np.clip(step, -np.array(LARGEST_STEPS), LARGEST_STEPS)
-        trial = replace(model, spots=FrameParameters(*(start + (moved + step)[site].T)))
-        new = assemble(trial, pixels)
-        rise = new.deviance - equations.deviance + float(np.sum(precision * ((moved + step) ** 2 - moved**2)))
+        trial = replace(model, spots=FrameParameters(*(start + (shift + step)[site].T)))
+        trial_equations = assemble(trial, pixels)
+        prior_rise = float(np.sum(precision * ((shift + step) ** 2 - shift**2)))
+        rise = trial_equations.deviance - equations.deviance + prior_rise
+        # NaN counts as a rise.
         if not rise <= 0:
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
             continue
-        model, equations, moved, damping = trial, new, moved + step, damping / DAMPING_FACTOR
+        model, equations, shift, damping = trial, trial_equations, shift + step, damping / DAMPING_FACTOR
         if -rise < SITE_TOLERANCE * len(step):
             break
     return model
 
 
 def _sum_by_site(equations: NormalEquations, site: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return gradient [site, 4] and information [site, 4, 4] of spots that frames of a site share."""
-    gradient, information = np.zeros((site.max() + 1, 4)), np.zeros((site.max() + 1, 4, 4))
-    for frame, number in enumerate(site):
-        rows = slice(4 * frame, 4 * frame + 4)
-        gradient[number] += equations.gradient[rows]
-        information[number] += equations.information[rows, rows]
+    """Return score [site, 4] and Fisher information [site, 4, 4] of spot parameters that the frames of a site share.
+
+    `site` [frame] are numbers from 0 on.
+    """
+    sites, frames = site.max() + 1, np.arange(len(site))
+    gradient, information = np.zeros((sites, SPOT_PARAMETERS)), np.zeros((sites, SPOT_PARAMETERS, SPOT_PARAMETERS))
+    np.add.at(gradient, site, equations.gradient.reshape(-1, SPOT_PARAMETERS))
+    blocks = equations.information.reshape(len(site), SPOT_PARAMETERS, len(site), SPOT_PARAMETERS)
+    np.add.at(information, site, blocks[frames, :, frames])
     return gradient, information
 
 
 @dataclass(frozen=True)
-class _BlockSums:
-    """Sums over the blocks of all frames; arrays [block]."""
+class _BlockResiduals:
+    """Sums over the pixels of each block near a spot; arrays [block], the blocks of all frames."""
 
-    residual: np.ndarray  # residuals [DN]
-    noise: np.ndarray  # variance of the noise of pixels [DN²]
-    scatter: np.ndarray  # variance of the sum of residuals by all other scatter [DN²]
-    count: np.ndarray  # pixels
-    frame: np.ndarray  # frame of the block
+    residual: np.ndarray  # sum of the residuals [DN]
+    noise: np.ndarray  # variance of that sum by the noise of single pixels [DN²]
+    scatter: np.ndarray  # variance of that sum by all other scatter [DN²]
+    count: np.ndarray  # number of pixels
+    frame: np.ndarray  # number of the frame of the block
 
 
-def _measure(model: JointModel, scatter: FrameScatter, frames: FrameSet) -> Prediction:
-    """Return the comparison of frames with a model."""
+def _compare_frames(model: JointModel, scatter: FrameScatter, frames: FrameSet) -> Prediction:
+    """Return the comparison of frames with a model whose spots are final."""
     pixels = whole_crops(frames)
 
-    def of_batch(part: slice) -> tuple[_BlockSums, float]:
-        return _compare(model, scatter, frames, pixels, part)
+    def compare_batch(batch: slice) -> tuple[_BlockResiduals, float]:
+        """Return the blocks and the score of a batch of frames."""
+        return _compare_batch(model, scatter, frames, pixels, batch)
 
-    parts = map_batches(of_batch, pixels)
-    blocks = _BlockSums(
-        *(np.concatenate([getattr(sums, name) for sums, _ in parts]) for name in _BlockSums.__dataclass_fields__)
+    results = map_batches(compare_batch, pixels)
+    blocks = _BlockResiduals(
+        *(np.concatenate([getattr(sums, item.name) for sums, _ in results]) for item in fields(_BlockResiduals))
     )
     squares, relative = blocks.residual**2 / blocks.noise, blocks.scatter / blocks.noise
+    # The square of a normal number has the variance 2 times its squared mean.
     variance = 2 * np.sum((1 + relative) ** 2)
     if scatter.frame_sd.any():
-        # One draw moves all blocks of a frame.
+        # A deviation of a frame's spot moves all its blocks together: their scatter adds up before it is squared.
         variance = 2 * np.sum(np.bincount(blocks.frame, relative) ** 2) + 2 * len(relative)
     excess = (blocks.residual**2 - blocks.noise) / blocks.count**2
     return Prediction(
@@ -229,108 +253,110 @@ def _measure(model: JointModel, scatter: FrameScatter, frames: FrameSet) -> Pred
         floor=float(1 + relative.mean()),
         deviation=float(np.sqrt(variance) / len(relative)),
         rms_dn=float(np.sqrt(max(excess.mean(), 0.0))),
-        score=float(sum(score for _, score in parts)),
+        score=float(sum(score for _, score in results)),
         spots=model.spots,
     )
 
 
-def _compare(
-    model: JointModel, scatter: FrameScatter, frames: FrameSet, pixels: Pixels, part: slice
-) -> tuple[_BlockSums, float]:
-    """Return the sums over blocks near the spots of a batch of frames, and their score."""
-    at = evaluate(model, pixels, part)
-    used = at.weight > 0
-    variance = np.where(used, 1 / np.where(used, at.weight, 1.0), 0.0)
-    slopes = at.slopes[SCATTERING] * at.moments.mean_slope * used
+def _compare_batch(
+    model: JointModel, scatter: FrameScatter, frames: FrameSet, pixels: Pixels, batch: slice
+) -> tuple[_BlockResiduals, float]:
+    """Return the blocks near the spots of a batch of frames, and the score of the frames.
+
+    `pixels` are all pixels of `frames`, of which `batch` selects some.
+    """
+    evaluation = evaluate(model, pixels, batch)
+    used = evaluation.weight > 0
+    variance = np.where(used, 1 / np.where(used, evaluation.weight, 1.0), 0.0)
+    # Derivatives of the mean reading by the scattering spot parameters; that by ln peak is the one by a relative gain.
+    slopes = evaluation.slopes[SCATTERING] * evaluation.moments.mean_slope * used
     light_square = slopes[0] ** 2
-    of_grains = np.where(used, _variance_of_grains(model, pixels, part, variance), 0.0)
-    residual = at.residual
-    of_gains = np.zeros_like(variance)
+    grain_variance = np.where(used, _variance_by_grains(model, pixels, batch, variance), 0.0)
+    residual = evaluation.residual
+    gain_variance = np.zeros_like(variance)
     if scatter.gains is not None:
-        crops = zip(frames.top[part], frames.left[part], strict=True)
-        known = [scatter.gains.under_crop(int(top), int(left), frames.readings.shape[1:]) for top, left in crops]
-        gain, gain_variance = (np.stack([pair[k] for pair in known]) for k in (0, 1))
-        residual, of_gains = residual - gain * slopes[0], gain_variance * light_square
-    total = variance + scatter.field_variance * light_square + of_gains
-    score = _score(scatter, residual, total, slopes, at, used)
-    is_near = used & _is_near(at)
-    area = correlated_area(scatter.grain_px, BLOCK_PX)
+        corners = zip(frames.top[batch], frames.left[batch], strict=True)
+        known = [scatter.gains.under_crop(int(top), int(left), frames.readings.shape[1:]) for top, left in corners]
+        gain, gain_error = (np.stack(arrays) for arrays in zip(*known, strict=True))
+        residual, gain_variance = residual - gain * slopes[0], gain_error * light_square
+    total = variance + scatter.field_variance * light_square + gain_variance
+    score = _score_frames(scatter, residual, total, slopes, evaluation, used)
+    is_near = used & _is_near(evaluation)
 
     def sum_blocks(values: np.ndarray) -> np.ndarray:
-        return _block_sums(values * is_near)
+        """Return sums over the pixels near the spot [frame, block row, block column]."""
+        return sum_over_blocks(values * is_near, BLOCK_PX)
 
-    field_part = of_grains + scatter.field_variance * light_square
-    others = area * sum_blocks(field_part) + sum_blocks(of_gains)
+    # Neighbours share grains, so that the variance of a block is larger by the area that a grain correlates.
+    area = correlated_area(scatter.grain_px, BLOCK_PX)
+    others = area * sum_blocks(grain_variance + scatter.field_variance * light_square) + sum_blocks(gain_variance)
     others += (scatter.brightness_sd * sum_blocks(slopes[0])) ** 2
-    others += scatter.row_variance * BLOCK_PX * sum_blocks(at.moments.mean_slope**2)
+    others += scatter.row_variance * BLOCK_PX * sum_blocks(evaluation.moments.mean_slope**2)
     if scatter.centre_sd:
-        share = 1 - 1 / np.bincount(model.design.site).max()  # the centre of the site was fitted to these frames
+        # The centre of a site was fitted to these frames, which takes off a part of the scatter.
+        share = 1 - 1 / np.bincount(model.design.site).max()
         others += share * scatter.centre_sd**2 * (sum_blocks(slopes[1]) ** 2 + sum_blocks(slopes[2]) ** 2)
     count = sum_blocks(np.ones(used.shape))
     is_full = count > BLOCK_PX**2 / 2
-    frame = np.broadcast_to(np.arange(part.start, part.stop)[:, None, None], count.shape)
-    noise = sum_blocks(variance - of_grains)
-    arrays = (sum_blocks(residual), noise, others, count, frame)
-    return _BlockSums(*(values[is_full] for values in arrays)), score
+    frame = np.broadcast_to(np.arange(batch.start, batch.stop)[:, None, None], count.shape)
+    arrays = (sum_blocks(residual), sum_blocks(variance - grain_variance), others, count, frame)
+    return _BlockResiduals(*(values[is_full] for values in arrays)), score
 
 
-def _score(
+def _score_frames(
     scatter: FrameScatter,
     residual: np.ndarray,
     variance: np.ndarray,
     slopes: np.ndarray,
-    at: Evaluation,
+    evaluation: Evaluation,
     used: np.ndarray,
 ) -> float:
-    """Return −2 ln p of frames. Rows and deviations of a frame's spot are integrated out, each for itself."""
+    """Return −2 ln p of frames, up to a constant.
+
+    Offsets of rows, and deviations of a frame's spot, are integrated out, each as if the other were absent. Arrays are
+    [frame, row, column]: residual [DN], variance [DN²] of a reading by itself, and whether a pixel is used. `slopes`
+    have an axis of the scattering spot parameters before these.
+    """
     weight = np.where(used, 1 / np.where(used, variance, 1.0), 0.0)
     score = float(np.sum(residual**2 * weight) - np.sum(np.log(weight, where=used, out=np.zeros(used.shape))))
+    # With a covariance V + S S', −2 ln p changes by ln |1 + S'V⁻¹S| − (S'V⁻¹r)'(1 + S'V⁻¹S)⁻¹(S'V⁻¹r) (Woodbury).
     if scatter.row_variance:
-        slope = at.moments.mean_slope * used
+        slope = evaluation.moments.mean_slope * used
         gradient = (slope * residual * weight).sum(axis=2)
         information = scatter.row_variance * (slope**2 * weight).sum(axis=2)
         score += float(np.sum(np.log1p(information) - scatter.row_variance * gradient**2 / (1 + information)))
-    sd = scatter.frame_sd
-    if sd.any():
-        # Woodbury: with the deviations d = S e of a frame, e of variance 1.
-        scaled = slopes * sd[:, None, None, None]
+    if scatter.frame_sd.any():
+        scaled = slopes * scatter.frame_sd[:, None, None, None]
         gradient = np.einsum("afhw,fhw->fa", scaled, residual * weight)
-        information = np.einsum("afhw,bfhw,fhw->fab", scaled, scaled, weight) + np.eye(3)
+        information = np.einsum("afhw,bfhw,fhw->fab", scaled, scaled, weight) + np.eye(len(SCATTERING))
         score += float(np.sum(np.linalg.slogdet(information)[1]))
         score -= float(np.sum(gradient * np.linalg.solve(information, gradient[:, :, None])[:, :, 0]))
     return score
 
 
-def _variance_of_grains(model: JointModel, pixels: Pixels, part: slice, variance: np.ndarray) -> np.ndarray | float:
-    """Return the part of the variance that fields of the light bring into the distribution of a reading."""
-    kept = tuple(applied for applied in model.forward.effects if not is_field(applied))
-    if len(kept) == len(model.forward.effects):
+def _variance_by_grains(model: JointModel, pixels: Pixels, batch: slice, variance: np.ndarray) -> np.ndarray | float:
+    """Return the part [DN²] of the variance of a reading that granular light of the model causes; 0 if it has none."""
+    effects = tuple(applied for applied in model.forward.effects if not is_field(applied))
+    if len(effects) == len(model.forward.effects):
         return 0.0
-    alone = replace(model, forward=replace(model.forward, effects=kept))
-    at = evaluate(alone, pixels, part, with_slopes=False)
-    return np.maximum(variance - 1 / np.where(at.weight > 0, at.weight, np.inf), 0.0)
+    without = replace(model, forward=replace(model.forward, effects=effects))
+    evaluation = evaluate(without, pixels, batch, with_slopes=False)
+    return np.maximum(variance - 1 / np.where(evaluation.weight > 0, evaluation.weight, np.inf), 0.0)
 
 
 def has_field(model: JointModel) -> bool:
-    """Return whether granular light is in the mean image of a model."""
+    """Return whether the effects of a model contain granular light."""
     return any(is_field(applied) for applied in model.forward.effects)
 
 
 def is_field(applied: AppliedEffect) -> bool:
-    """Return whether an effect is granular light alone."""
+    """Return whether an effect is granular light and nothing else: a random field that multiplies the light."""
     steps = applied.effect.variants[applied.variant]
     return bool(steps) and all(isinstance(step, RandomStep) and step.stage is Stage.SPECKLE_FIELD for step in steps)
 
 
-def _is_near(at: Evaluation) -> np.ndarray:
-    """Return which pixels lie within `GAP_RADIUS` of their spot."""
-    conditions = at.conditions
+def _is_near(evaluation: Evaluation) -> np.ndarray:
+    """Return which pixels lie within `GAP_RADIUS` of their spot [frame, row, column]."""
+    conditions = evaluation.conditions
     distance = np.hypot(conditions.pixels.x - conditions.x0, conditions.pixels.y - conditions.y0)
     return distance < GAP_RADIUS * conditions.sigma_px
-
-
-def _block_sums(values: np.ndarray) -> np.ndarray:
-    """Return sums over blocks of the crops [frame, block row, block column]."""
-    frames, rows, columns = (values.shape[0], *(size // BLOCK_PX for size in values.shape[1:]))
-    cut = values[:, : rows * BLOCK_PX, : columns * BLOCK_PX]
-    return cut.reshape(frames, rows, BLOCK_PX, columns, BLOCK_PX).sum(axis=(2, 4))

@@ -1,4 +1,9 @@
-"""The verdict on a dataset, version 4: the content of verdict.json, from a record of findings."""
+"""The verdict on a dataset: the content of verdict.json (version 4), from a record of findings.
+
+Numbers that are not known are NaN in findings and None in the verdict. A gain is the drop of −2 ln L by an effect.
+Rivals of an effect are other effects that explain the data about as well. A learned light shape is a free one, fitted
+beside the declared shape, which the verdict lists like an effect.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -26,11 +31,12 @@ from spotcheck.discrepancy.words import limit_text, size_text
 from spotcheck.model.effects import built_in, vocabulary
 
 VERSION = 4
-# Least p-value that is written: no probability is 0.
+# Least p-value that is written, since no probability is 0.
 LEAST_PROBABILITY = 1e-300
-# The effect that a learned light shape stands for, also if a run's vocabulary leaves it out.
+# The entry of the vocabulary for a learned light shape: the only one without a formula. It counts also if the
+# vocabulary of a run leaves it out.
 LEARNED_SHAPE = next(effect for effect in built_in().values() if not effect.stages)
-# Reasons of verdicts without effects.
+# Reasons for verdicts without effects.
 NO_TEST = "no test was possible"
 NOT_CONVERGED = "the fits behind the effects did not converge"
 
@@ -38,36 +44,36 @@ NOT_CONVERGED = "the fits behind the effects did not converge"
 class Status(Enum):
     """The verdict in one word."""
 
-    CONSISTENT = "consistent"
-    NAMED = "named"
-    NAMED_MORE_REMAINS = "named_more_remains"
-    AMBIGUOUS = "ambiguous"
-    UNKNOWN = "unknown"
-    NOT_ASSESSED = "not_assessed"
-    NOT_CONVERGED = "not_converged"
+    CONSISTENT = "consistent"  # no disagreement was found
+    NAMED = "named"  # effects explain the disagreement
+    NAMED_MORE_REMAINS = "named_more_remains"  # effects explain a part; the rest exceeds the tolerance
+    AMBIGUOUS = "ambiguous"  # an effect has rivals
+    UNKNOWN = "unknown"  # there is a disagreement, and no effect explains it
+    NOT_ASSESSED = "not_assessed"  # no test was possible
+    NOT_CONVERGED = "not_converged"  # the fits behind the effects did not converge
 
 
 def compose_verdict(
     findings: Findings, dataset_name: str, *, alpha: float = ALPHA, tolerance: float = TOLERANCE
 ) -> dict[str, Any]:
-    """Return the content of verdict.json with an empty `sentence`; what is not known is None.
+    """Return the content of verdict.json with an empty `sentence`.
 
     Parameters
     ----------
     findings : Findings
-        All that is concluded. Without a converged fit, only what follows from the declared model is taken.
+        All that is concluded of the dataset. If the fits did not converge, only values of the declared model are used.
     dataset_name : str
         Name of the dataset's folder.
     alpha : float
         Rate of false alarms of detection.
     tolerance : float
-        Rms of the mean image that may stay unexplained [peak].
+        Rms of the mean image that may remain unexplained [peak of the spot].
     """
     status = find_status(findings, alpha, tolerance)
     reason = findings.reason or {Status.NOT_ASSESSED: NO_TEST, Status.NOT_CONVERGED: NOT_CONVERGED}.get(status, "")
     if reason:
         findings = drop_fitted_values(findings)
-    rows = [("all", why) for why in (reason, *findings.remarks) if why]
+    general_rows = [("all", why) for why in (reason, *findings.remarks) if why]
     document = {
         "schema": VERSION,
         "dataset": dataset_name,
@@ -90,7 +96,7 @@ def compose_verdict(
             {"condition": dict(advice.condition), "separates": list(advice.separates), "frames": int(advice.frames)}
             for advice in findings.advice
         ],
-        "not_assessed": [{"effect": name, "why": why} for name, why in (*rows, *findings.not_assessed)],
+        "not_assessed": [{"effect": name, "why": why} for name, why in (*general_rows, *findings.not_assessed)],
         "sentence": "",
     }
     return document | ({"levels": describe_levels(findings.levels)} if findings.levels else {})
@@ -116,22 +122,29 @@ def find_status(findings: Findings, alpha: float = ALPHA, tolerance: float = TOL
 
 
 def exceeds_tolerance(unexplained: Unexplained | None, tolerance: float) -> bool:
-    """Return whether more is unexplained than the tolerance, beyond what the error of its square allows for."""
+    """Return whether the unexplained rms exceeds the tolerance by `CLEAR_ERRORS` standard errors of its square.
+
+    The result is False without an estimate or an error. `tolerance` is in the unit of the size [peak].
+    """
     if unexplained is None or not np.isfinite(unexplained.variance_error):
         return False
     return bool(unexplained.size**2 - CLEAR_ERRORS * unexplained.variance_error > tolerance**2)
 
 
 def drop_fitted_values(findings: Findings) -> Findings:
-    """Return the findings without values of fits that go beyond the declared model."""
+    """Return the findings without effects and other values of the extended model; those of the declared one remain."""
     levels = findings.levels and replace(findings.levels, gain=findings.levels.straight_line)
     return replace(findings, effects=(), light=None, sensor=(), limits=(), law=LawShift(before=findings.law.before),
                    unexplained=None, gap=None, metrics=(), advice=(), levels=levels)  # fmt: skip
 
 
 def describe_detection(detection: Detection | None, rms_of_peak: float, alpha: float) -> dict[str, Any]:
-    """Return the key `detection`."""
+    """Return the value of the key `detection`.
+
+    `detection` is None if nothing was tested. `rms_of_peak` is the rms of the mean residual [peak], NaN if unknown.
+    """
     tests = detection.tests if detection else ()
+    # p-values may be 0 by underflow: then the largest z decides.
     strongest = min(tests, key=lambda test: (test.p_value, -test.z), default=None)
     worst = strongest and {
         "part": strongest.name,
@@ -152,13 +165,13 @@ def describe_detection(detection: Detection | None, rms_of_peak: float, alpha: f
 
 
 def describe_effects(findings: Findings) -> list[dict[str, Any]]:
-    """Return the key `effects`: the learned light first, as it acts everywhere, then effects in their order."""
-    light = [describe_shape(findings.light)] if findings.light else []
-    return light + [describe_effect(effect) for effect in findings.effects]
+    """Return the value of the key `effects`: a learned light shape first, then the effects in their order."""
+    light_rows = [describe_shape(findings.light)] if findings.light else []
+    return light_rows + [describe_effect(effect) for effect in findings.effects]
 
 
 def describe_effect(effect: NamedEffect) -> dict[str, Any]:
-    """Return the row of an effect; its parameters stand in the order of the effect's, the strength first."""
+    """Return the row of an effect in `effects`; its parameters have the order of the vocabulary, the strength first."""
     order = [parameter.name for parameter in effect.applied.effect.parameters]
     names = sorted(effect.values, key=lambda name: order.index(name) if name in order else len(order))
     return {
@@ -172,7 +185,7 @@ def describe_effect(effect: NamedEffect) -> dict[str, Any]:
 
 
 def describe_shape(light: LearnedLight) -> dict[str, Any]:
-    """Return the row of a learned light shape: its power, and the azimuthal order that has most of it."""
+    """Return the row of a learned light shape in `effects`: its power, and the azimuthal order with most of it."""
     order = float(np.argmax(light.orders)) if any(light.orders) else np.nan
     z = light.power / light.stderr if light.stderr > 0 else np.nan
     values = ((light.power, light.stderr), (order, np.nan))
@@ -190,15 +203,29 @@ def describe_shape(light: LearnedLight) -> dict[str, Any]:
 
 
 def describe_value(value: ParameterValue) -> dict[str, Any]:
-    """Return value, standard error and unit; a direction lies from 0° to 360°."""
-    reduced = value.value % 360 if value.unit == "deg" else value.value
-    return {"value": number(reduced), "stderr": number(value.stderr), "unit": value.unit}
+    """Return value, standard error and unit of a parameter; directions are reduced to 0° … 360°."""
+    reported = value.value % 360 if value.unit == "deg" else value.value
+    return {"value": number(reported), "stderr": number(value.stderr), "unit": value.unit}
 
 
 def describe_evidence(
     name: str, gain: float, z: float, consistency: Consistency | None, rivals: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Return the key `evidence` of an effect; `rivals` says how much larger −2 ln L is with each."""
+    """Return the value of the key `evidence` of an effect.
+
+    Parameters
+    ----------
+    name : str
+        Name of the effect.
+    gain : float
+        Drop of −2 ln L by it; NaN if unknown.
+    z : float
+        Its strength in standard errors; NaN if unknown.
+    consistency : Consistency or None
+        Test of its strength over cells of the data; None if there is none.
+    rivals : mapping of str to float
+        By how much −2 ln L is larger with each rival in its place.
+    """
     weights = weigh_candidates({name: 0.0, **rivals})
     return {
         "gain": number(gain),
@@ -219,18 +246,19 @@ def describe_evidence(
 
 
 def weigh_candidates(behind: Mapping[str, float]) -> dict[str, float]:
-    """Return the probabilities of candidates that are equally likely before the frames are seen.
+    """Return the posterior probability of each candidate, with equal prior probabilities.
 
-    They are in proportion to exp(−d/2), where d is how much larger −2 ln L is with a candidate; they sum to 1.
+    `behind` is by how much −2 ln L is larger with each than with the effect of the verdict. Probabilities are in
+    proportion to exp(−behind/2) and sum to 1.
     """
     least = min(behind.values())
-    shares = {name: float(np.exp((least - d) / 2)) for name, d in behind.items()}
-    total = sum(shares.values())
-    return {name: share / total for name, share in shares.items()}
+    likelihoods = {name: float(np.exp((least - difference) / 2)) for name, difference in behind.items()}
+    total = sum(likelihoods.values())
+    return {name: likelihood / total for name, likelihood in likelihoods.items()}
 
 
 def describe_light(light: LearnedLight) -> dict[str, Any]:
-    """Return the key `light`."""
+    """Return the value of the key `light`: how a learned light shape differs from the declared one."""
     return {
         "power": number(light.power),
         "stderr": number(light.stderr),
@@ -249,7 +277,10 @@ def describe_light(light: LearnedLight) -> dict[str, Any]:
 
 
 def describe_pull(pull: SensorPull) -> dict[str, Any]:
-    """Return a row of the key `sheet`; `z` is unknown if the frames add nothing to the data sheet."""
+    """Return a row of the key `sheet`: a number of the data sheet, and its fitted value.
+
+    `z` is None if the frames do not make the standard error smaller than that of the data sheet.
+    """
     return {
         "name": pull.name,
         "unit": pull.unit,
@@ -264,7 +295,7 @@ def describe_pull(pull: SensorPull) -> dict[str, Any]:
 
 
 def describe_limit(limit: UpperLimit) -> dict[str, Any]:
-    """Return a row of the key `limits`."""
+    """Return a row of the key `limits`: the range (95 %) of the strength of an effect that is not named."""
     effect = (built_in() | dict(vocabulary())).get(limit.effect)
     low, high = (limit_text(end, limit.unit, effect) if np.isfinite(end) else "" for end in (limit.low, limit.high))
     return {
@@ -281,7 +312,10 @@ def describe_limit(limit: UpperLimit) -> dict[str, Any]:
 
 
 def describe_law(law: LawShift) -> dict[str, Any]:
-    """Return the key `baseline_shift`."""
+    """Return the value of the key `baseline_shift`: p1 and p2 [px] under the declared and the extended model.
+
+    They are the parameters of the width's law in exposure t, σ_g − laser width = p1 ln t + p2.
+    """
     return {
         name: {"before": number(before), "after": number(after), "stderr": number(stderr), "unit": "px"}
         for name, before, after, stderr in zip(("p1", "p2"), law.before, law.after, law.stderr, strict=True)
@@ -289,7 +323,10 @@ def describe_law(law: LawShift) -> dict[str, Any]:
 
 
 def describe_unexplained(unexplained: Unexplained | None, tolerance: float) -> dict[str, Any]:
-    """Return the key `unexplained`; `error` is that of the size towards larger ones, √(size² + error of it) − size."""
+    """Return the value of the key `unexplained`: the rms that remains beside all effects [peak].
+
+    The error is estimated for size², so that `error` is that towards larger sizes: √(size² + error of size²) − size.
+    """
     size = error = z = share = p_value = None
     if unexplained is not None:
         share, p_value = number(unexplained.share), probability(unexplained.p_value)
@@ -301,7 +338,7 @@ def describe_unexplained(unexplained: Unexplained | None, tolerance: float) -> d
 
 
 def describe_gap(gap: Gap | None) -> dict[str, Any]:
-    """Return the key `gap`."""
+    """Return the value of the key `gap`: residuals on held-out data; all None without held-out data."""
     keys = ("before", "after", "noise_floor", "closed", "rms_dn_before", "rms_dn_after", "gain")
     if gap is None:
         return dict.fromkeys((*keys, "on"))
@@ -309,7 +346,7 @@ def describe_gap(gap: Gap | None) -> dict[str, Any]:
 
 
 def describe_levels(levels: LevelFindings) -> dict[str, Any]:
-    """Return the key `levels`."""
+    """Return the value of the key `levels`: the gain K from levels of flats, and the scatter of their light."""
     return {
         "number": int(levels.number),
         "gain_dn_per_e": {"value": float(levels.gain.value), "stderr": number(levels.gain.stderr)},
@@ -319,10 +356,10 @@ def describe_levels(levels: LevelFindings) -> dict[str, Any]:
 
 
 def number(value: float | None) -> float | None:
-    """Return a number of Python's own; None for NaN and infinity."""
+    """Return a number as a Python float; None for None, NaN and infinity."""
     return None if value is None or not np.isfinite(value) else float(value)
 
 
 def probability(value: float) -> float | None:
-    """Return a p-value of at least `LEAST_PROBABILITY`; None for NaN."""
+    """Return a p-value as a Python float, raised to `LEAST_PROBABILITY` if it is less; None for NaN."""
     return number(np.clip(value, LEAST_PROBABILITY, 1.0))

@@ -1,4 +1,7 @@
-"""Checks of a verdict against its schema and against itself, and the file verdict.json."""
+"""The file verdict.json: its writer, and checks of a verdict against its schema and of its parts against each other.
+
+A verdict is a tree of dicts, lists and numbers, as `compose_verdict` returns it.
+"""
 
 import json
 from collections.abc import Sequence
@@ -14,13 +17,13 @@ from spotcheck.io import store
 from spotcheck.io.schema import read_schema
 from spotcheck.model.effects import vocabulary
 
-# Name of the schema.
+# Name of the schema of verdict.json.
 SCHEMA = "verdict"
-# Digits of all numbers: more than any of them is known to, fewer than differ between processors.
+# Significant digits of all numbers: more than are known of any of them, and so few that all processors agree on them.
 DIGITS = 9
-# Largest difference of a sum of weights from 1: they are rounded.
+# Largest deviation from 1 of the sum of the probabilities (weights) of an effect and its rivals: they are rounded.
 WEIGHT_ERROR = 1e-6
-# Statuses with effects, and statuses that need a reason.
+# Statuses of verdicts that list effects, and statuses that need a reason in `not_assessed`.
 WITH_EFFECTS = (Status.NAMED, Status.NAMED_MORE_REMAINS, Status.AMBIGUOUS)
 WITH_REASON = (Status.NOT_ASSESSED, Status.NOT_CONVERGED)
 
@@ -33,16 +36,19 @@ def write_verdict(
     Parameters
     ----------
     verdict : dict
-        As `compose_verdict` returns it, with its sentence.
+        Result of `compose_verdict`, with its `sentence` filled in.
     path : path
-        File to write; an older one stays as it is if the verdict is refused.
-    code, inputs : str, sequence of path
-        Provenance, as `store.write_text` takes it.
+        File to write. An existing file is kept if the verdict is refused.
+    code : str
+        Digest of the code, for the provenance that `store.write_text` keeps; "" for no provenance.
+    inputs : sequence of path
+        Files from which the verdict follows, for the same.
 
     Raises
     ------
     ContractError
-        If the verdict breaks its schema or contradicts itself, which is a defect of the program, not of the data.
+        If the verdict does not follow its schema, or its parts contradict each other. This is a defect of the program,
+        not of the data.
     """
     plain = rounded(verdict)
     if breach := breach_of_verdict(plain):
@@ -52,7 +58,7 @@ def write_verdict(
 
 
 def rounded(value: Any) -> Any:
-    """Return the same content with Python's own numbers, rounded to `DIGITS` digits."""
+    """Return the same tree with lists for tuples and Python numbers for numpy's, floats rounded to `DIGITS` digits."""
     if isinstance(value, dict):
         return {str(key): rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -65,7 +71,7 @@ def rounded(value: Any) -> Any:
 
 
 def breach_of_verdict(verdict: dict[str, Any]) -> str | None:
-    """Return in one sentence what is wrong with a verdict: where, and what; None if nothing is."""
+    """Return what is wrong with a verdict in one sentence that says where; None if it is right."""
     schema = read_schema(SCHEMA)
     schema["$defs"]["effect"] = {"enum": sorted({*vocabulary(), LEARNED_SHAPE.name})}
     error = best_match(Draft202012Validator(schema).iter_errors(verdict))
@@ -75,7 +81,10 @@ def breach_of_verdict(verdict: dict[str, Any]) -> str | None:
 
 
 def _find_non_finite(value: Any, path: str = "") -> str | None:
-    """Return where a NaN or an infinity stands; None if there is none."""
+    """Return a sentence that says where a tree has its first NaN or infinity; None if it has none.
+
+    `path` is the position of `value` in the verdict, as ".key.key".
+    """
     if isinstance(value, float) and not np.isfinite(value):
         return f"{path.lstrip('.')}: {value} is no number; write null"
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
@@ -83,7 +92,7 @@ def _find_non_finite(value: Any, path: str = "") -> str | None:
 
 
 def _find_contradiction(verdict: dict[str, Any]) -> str | None:
-    """Return which parts of a verdict contradict each other; None if none do."""
+    """Return a sentence that says which parts of a verdict contradict each other; None if none do."""
     status, effects = Status(verdict["status"]), verdict["effects"]
     names = [effect["name"] for effect in effects]
     if len(set(names)) < len(names):
@@ -103,7 +112,7 @@ def _find_contradiction(verdict: dict[str, Any]) -> str | None:
 
 
 def _contradiction_of(effect: dict[str, Any]) -> str | None:
-    """Return what is wrong with the candidates of an effect and their weights; None if nothing is."""
+    """Return a sentence on candidates or weights of an effect that contradict its rivals; None if none do."""
     name, evidence = effect["name"], effect["evidence"]
     if effect["candidates"] != [name, *(rival["name"] for rival in evidence["rivals"])]:
         return f"effects: the candidates of {name} are not itself and its rivals"
