@@ -19,7 +19,7 @@ from spotcheck.characterization.photon_transfer import Transfer, analyse_photon_
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.candidates import list_starts, value_is_one_sided
-from spotcheck.discrepancy.criteria import MIN_GAIN
+from spotcheck.discrepancy.criteria import MIN_GAIN, PRESENT_Z
 from spotcheck.discrepancy.evidence import is_negligible
 from spotcheck.discrepancy.findings import (
     Detection,
@@ -57,9 +57,6 @@ LEAST_P = 1e-300
 MOST_PLACES = 3
 # Normal quantiles of 95 %, for limits with one end and with two.
 ONE_SIDED, TWO_SIDED = 1.645, 1.960
-# Strength in standard errors above which an effect that is not named may still be present, so that further frames would
-# not lower its limit.
-FITTED_PRESENT_Z = 3.0
 # Least promised drop of −2 ln L at which a limit is taken from a fit of the effect instead of score tests.
 LEAST_FIT = 9.0
 # Reason for a limit if nothing else is known.
@@ -316,7 +313,7 @@ def limit_fitted(levels: FlatLevels, fit: LevelFit, limit: UpperLimit) -> UpperL
         limit = replace(limit, high=max(value, applied.effect.vanishes_at) + ONE_SIDED * error)
     else:
         limit = replace(limit, low=value - TWO_SIDED * error, high=value + TWO_SIDED * error)
-    if abs(value - applied.effect.vanishes_at) > FITTED_PRESENT_Z * error:
+    if abs(value - applied.effect.vanishes_at) > PRESENT_Z * error:
         return replace(limit, remark="something like it is there, which more frames will not make smaller")
     return replace(limit, frames=HALVING_FRAMES * levels.frames)
 

@@ -197,7 +197,12 @@ def _convert_effects(
             stated = {name: parameter for name, parameter in parameters.items() if parameter["value"] is not None}
             numbers = ", ".join(f"{name} {quantity_text(**parameter)}" for name, parameter in stated.items())
             text = f"{entry['form']}: {numbers}" if entry["form"] else numbers
-            reason = f"it may as well be {' or '.join(rivals)}" if rivals else "no key of an instrument file holds it"
+            if rivals:
+                reason = f"it may as well be {' or '.join(rivals)}"
+            elif sensor is None:
+                reason = "the gain of the sensor is unknown"
+            else:
+                reason = "no key of an instrument file holds it"
             unused.append(UnusedResult(entry["name"], text, reason))
     return learned, unused
 
