@@ -134,11 +134,7 @@ def second_moments(image: np.ndarray) -> Moments:
         extent = max(float(np.trace(ellipse.covariance)), np.finfo(float).tiny)
         # Relative change of the width: half of that of the variance.
         change = float(np.abs(update.covariance - ellipse.covariance).max()) / extent / 2
-        ellipse = _Ellipse(
-            ellipse.x + step * (update.x - ellipse.x),
-            ellipse.y + step * (update.y - ellipse.y),
-            ellipse.covariance + step * (update.covariance - ellipse.covariance),
-        )
+        ellipse = _Ellipse(*(old + step * (new - old) for old, new in zip(ellipse, update, strict=True)))
         if change < TOLERANCE:
             break
     return _describe_spot(pixels, is_unmeasured, ellipse, change)

@@ -156,13 +156,7 @@ def solve_damped(matrix, vector, damping):
 @compiled
 def compute_jacobian(point, coordinates):
     """Return ∂θ/∂(free coordinates) [7, free] at a point."""
-    full_jacobian = _compute_full_jacobian(point, coordinates)
-    jacobian, column = np.empty((7, coordinates.free.sum())), 0
-    for k in range(7):
-        if coordinates.free[k]:
-            jacobian[:, column] = full_jacobian[:, k]
-            column += 1
-    return jacobian
+    return _compute_full_jacobian(point, coordinates)[:, coordinates.free]
 
 
 @compiled

@@ -225,12 +225,9 @@ def _describe_bounds(ds: xr.Dataset) -> list[str]:
     if len(set(widths)) == 1 and len(widths) > 1:
         bounds = f"{widths[0]} from {times[0]} to {times[-1]}"
     best, sufficient = float(ds["best_exposure"]), float(ds["enough_exposure"])
-    curve_exposures, least_bound = ds["fine_exposure"].values, float(ds["sigma_bound_over_fine_exposure"].min())
+    exposures, least_bound = ds["fine_exposure"].values, float(ds["sigma_bound_over_fine_exposure"].min())
     # Notes on the ends of the curve, beyond which the bound may be less.
-    end_notes = {
-        curve_exposures[-1]: " (the longest that was looked at)",
-        curve_exposures[0]: " (the shortest that was looked at)",
-    }
+    end_notes = {exposures[-1]: " (the longest that was looked at)", exposures[0]: " (the shortest that was looked at)"}
     clauses = [
         f"One frame can fix the direction-averaged width to {bounds} (Cramér–Rao bound, standard deviation)",
         f"the bound is least at {_format_time(best)}{end_notes.get(best, '')}, {least_bound:.2g} px",

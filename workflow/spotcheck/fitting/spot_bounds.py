@@ -120,9 +120,7 @@ def spot_bounds(
         covariance[block] = invert_information(matrix[block])
     stderr = np.sqrt(np.diag(covariance))
     stderr[ORIENTATION] = np.degrees(stderr[ORIENTATION])
-    # Covariance of both widths.
-    major_minor = covariance[3:5, 3:5]
-    mean_stderr = np.sqrt((major_minor[0, 0] + major_minor[1, 1] + 2 * major_minor[0, 1]) / 4)
+    mean_stderr = np.sqrt((covariance[3, 3] + covariance[4, 4] + 2 * covariance[3, 4]) / 4)
     return SpotBounds._make([*stderr.tolist(), float(mean_stderr)])
 
 
