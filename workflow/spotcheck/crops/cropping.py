@@ -126,8 +126,7 @@ def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int)
         # A crop is masked where it reaches beyond the frame.
         masked_flag = 0 if is_inside else store.flag("masked")
         statuses.append(flags | masked_flag | _flag_readings(image, spots[AT_LIGHT].exists, full_scale, clip))
-    means = {"block_mean": reduced.block_mean, "row_mean": reduced.row_mean, "column_mean": reduced.column_mean}
-    return {"image": images, "top": tops, "left": lefts, "status": statuses} | means
+    return {"image": images, "top": tops, "left": lefts, "status": statuses} | reduced._asdict()
 
 
 def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: float) -> int:

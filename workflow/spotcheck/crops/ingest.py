@@ -130,8 +130,7 @@ def _decode_frames(
         is_uniform = extremes.lowest == extremes.highest
         first_row = row if is_uniform else first_rows.setdefault(hashlib.sha256(pixels.data).digest(), row)
         zeros = int(pixels.size - np.count_nonzero(pixels))
-        mean = float(pixels.mean(dtype=np.float64))
-        statistics.append((extremes, mean, zeros, first_row if first_row < row else -1))
+        statistics.append((extremes, float(pixels.mean(dtype=np.float64)), zeros, first_row if first_row < row else -1))
     for file, record in records.items():
         if file_cache.record_file(dataset.folder / file, record).sha256 != record.sha256:
             raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")

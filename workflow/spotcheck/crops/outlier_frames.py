@@ -154,20 +154,14 @@ def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None])
     errors = np.array([(m.log_light_error, m.log_sigma_error, m.centre_error, m.centre_error) for _, m in measured])
     comparison = _compare_repeats(values, errors, indices, [axis.name for axis in dataset.axes].index("repeat"))
     comparison = _compare_neighbours(values, errors, indices, dataset, comparison)
-    sigmas = np.exp(values[:, WIDTH])
     # Flag and reason of each measured frame, None for a good one.
-    faults = [
-        _classify(deviation, limit, sigma)
-        for deviation, limit, sigma in zip(comparison.deviation, comparison.limit, sigmas, strict=True)
-    ]
-    group_sizes = Counter(comparison.group)
+    faults = list(map(_classify, comparison.deviation, comparison.limit, np.exp(values[:, WIDTH])))
+    sizes = Counter(comparison.group)
     fault_counts = Counter(group for group, fault in zip(comparison.group, faults, strict=True) if fault)
     outliers = [
         OutlierFrame(spot, *fault)
         for (spot, _), group, fault in zip(measured, comparison.group, faults, strict=True)
-        if fault
-        and fault_counts[group] <= group_sizes[group] // SIBLINGS_PER_OUTLIER
-        and dataset.spots[spot].keep is None
+        if fault and fault_counts[group] <= sizes[group] // SIBLINGS_PER_OUTLIER and dataset.spots[spot].keep is None
     ]
     if len(outliers) > max(len(measured) // SPOTS_PER_OUTLIER, 1):
         first = dataset.spots[outliers[0].spot].label

@@ -43,7 +43,7 @@ class _Peak(NamedTuple):
 def find_brightest_pixel(pixels: np.ndarray) -> Spot:
     """Return the brightest pixel of a frame [row, column] (Section 3.1.1); NaN pixels are left out.
 
-    Of several equal ones, it is the left-most, and of these the top-most.
+    It is the left-most of several equal ones, and the top-most of these.
     """
     rows, columns = np.nonzero(pixels == np.nanmax(pixels))
     first = np.lexsort((rows, columns))[0]

@@ -86,9 +86,8 @@ def fit_beam_axes(widths: SpotWidths) -> BeamAxes:
     deviation = np.abs((widths.orientation - np.degrees(azimuth) + 45) % 90 - 45)
     has_direction = is_elliptical & np.isfinite(widths.orientation_stderr)
     excess = np.where(has_direction, deviation - ANGLE_SIGMAS * widths.orientation_stderr, 0.0)
-    most_rotated = int(np.argmax(excess))
-    is_rotated = excess[most_rotated] > ROTATION_LIMIT_DEG
-    rotated_spot = (most_rotated, float(deviation[most_rotated])) if is_rotated else None
+    spot = int(np.argmax(excess))
+    rotated_spot = (spot, float(deviation[spot])) if excess[spot] > ROTATION_LIMIT_DEG else None
     return BeamAxes(float(np.degrees(azimuth)), float(stderr), not is_elliptical.any(), rotated_spot)
 
 
@@ -105,8 +104,7 @@ def project_widths(widths: SpotWidths, azimuth_deg: float) -> tuple[np.ndarray, 
     squared_error = (2 * widths.major * widths.major_stderr * cos_squared) ** 2
     squared_error += (2 * widths.minor * widths.minor_stderr * sin_squared) ** 2
     squared_error += (_cross_stderr(widths) * np.sin(2 * angle)) ** 2
-    sigma = np.sqrt(projected_variance)
-    return sigma, np.sqrt(squared_error) / (2 * sigma)
+    return np.sqrt(projected_variance), np.sqrt(squared_error) / (2 * np.sqrt(projected_variance))
 
 
 def _cross_stderr(widths: SpotWidths) -> np.ndarray:

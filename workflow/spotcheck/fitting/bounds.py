@@ -114,8 +114,7 @@ def compute_bounds(
     spots = [spot_at(t) for t in curve_exposures]
     median_photons, median_sigma = spot_at(median_exposure)
     photons = median_photons * np.logspace(-PHOTON_DECADES / 2, PHOTON_DECADES / 2, POINTS)
-    densities = np.array(list(DENSITIES), dtype=object)
-    add_variable(ds, "law", "law", densities, "1", "density that the information is of")
+    add_variable(ds, "law", "law", np.array([*DENSITIES], dtype=object), "1", "density that the information is of")
     add_variable(ds, "fine_exposure", "fine_exposure", curve_exposures, "s", "exposure time")
     add_variable(ds, "photons", "photons", photons, "1", "photons on the brightest pixel")
     # Photons, σ_g [px] and exposure time [s] of the points of both curves.
@@ -130,8 +129,8 @@ def compute_bounds(
         for k, (parameter, units, symbol) in enumerate(BOUND_PARAMETERS):
             name = f"var_{parameter}_over_{suffix}"
             add_variable(ds, name, (dim, "law"), values[..., k], units, f"bound on the variance of {symbol}")
-    peaks = np.array([n for n, _ in spots])
-    add_variable(ds, "peak_photons", "fine_exposure", peaks, "1", "photons on the brightest pixel at each exposure")
+    long_name = "photons on the brightest pixel at each exposure"
+    add_variable(ds, "peak_photons", "fine_exposure", np.array([n for n, _ in spots]), "1", long_name)
     add_variable(ds, "pixel_pitch", (), instrument.sensor.pixel_pitch_m or np.nan, "m", "pixel pitch")
     return ds.assign_attrs({f"law_{name}": text for name, text in DENSITIES.items()})
 

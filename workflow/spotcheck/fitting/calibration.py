@@ -60,8 +60,7 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     if (np.isfinite(widths.values).sum(axis=-1) < 2).all():
         return ds.assign_attrs(skipped="p1 and p2 need usable spots of one site at two exposures or more")
 
-    names = np.array(list(ESTIMATORS), dtype=object)
-    add_variable(ds, "estimator", "estimator", names, "1", "how p1 and p2 were found")
+    add_variable(ds, "estimator", "estimator", np.array([*ESTIMATORS], dtype=object), "1", "how p1 and p2 were found")
     ds = ds.assign_coords({d: fits[d] for d in site_dims if d in fits.coords})
     without_laser = replace(baseline, laser_px=0.0)
     models = dict(zip(ESTIMATORS, (baseline, without_laser, baseline), strict=True))
@@ -162,14 +161,9 @@ def _average_maxima(crops: xr.Dataset) -> np.ndarray:
 
 
 def _fit_all_frames(
-    crops: xr.Dataset,
-    fits: xr.Dataset,
-    baseline: Baseline,
-    sensor: SensorModel,
-    start: WidthLaw,
-    site_dims: tuple[str, ...],
+    crops: xr.Dataset, fits: xr.Dataset, model: Baseline, sensor: SensorModel, law: WidthLaw, site_dims: tuple[str, ...]
 ) -> JointFit:
-    """Fit the baseline to all frames with a fit at once, with one centre for each site, starting at `start`.
+    """Fit the baseline to all frames with a fit at once, with one centre for each site, starting at `law`.
 
     The centre of a site starts at that of its longest exposure with a fit. Sites without a fit are left out.
     """
@@ -187,7 +181,7 @@ def _fit_all_frames(
             frames.append(SiteFrame(len(centres), exposure_s, left, top, read_pixels))
         if fitted_exposures:
             centres.append((x[fitted_exposures[-1]], y[fitted_exposures[-1]]))
-    return fit_baseline(frames, baseline, sensor, np.array(start), np.array(centres))
+    return fit_baseline(frames, model, sensor, np.array(law), np.array(centres))
 
 
 def _read_pixels(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray:

@@ -406,13 +406,9 @@ def _add_hyperbolas(ds: xr.Dataset, hyperbolas: list[Hyperbola]) -> None:
     """Add the coefficients of each axis, their covariance, and the goodness of fit to caustic.nc."""
     for name in ("power", "other_power"):
         add_variable(ds, name, name, np.arange(COEFFICIENTS), "1", "power of z less the origin")
+    polynomial = "coefficients a, b, c of the squared radius over z less the origin"
     for name, attribute, units, long_name in (
-        (
-            "coefficient",
-            "coefficients",
-            "m2, m, 1",
-            "coefficients a, b, c of the squared radius over z less the origin",
-        ),
+        ("coefficient", "coefficients", "m2, m, 1", polynomial),
         ("coefficient_covariance", "covariance", "products of those of coefficient", "covariance of the coefficients"),
         ("origin", "origin", "m", "distance that the coefficients count from"),
         ("scatter", "scatter", "1", "relative scatter of the radius added to its standard error"),

@@ -110,29 +110,28 @@ def _estimate_at_half_maximum(blocks):
     if not amplitude > 0:
         return theta, False
     # Sums over the blocks above half maximum: their number, their light, and light times x, y and their products.
-    area = total_light = sum_x = sum_y = sum_xx = sum_xy = sum_yy = 0.0
+    area = total = sum_x = sum_y = sum_xx = sum_xy = sum_yy = 0.0
     for j in range(rows):
         for k in range(columns):
             light = despiked[j, k] - offset
             if light > amplitude / 2:
                 area += 1.0
-                total_light += light
+                total += light
                 sum_x += light * k
                 sum_y += light * j
                 sum_xx += light * k * k
                 sum_xy += light * k * j
                 sum_yy += light * j * j
-    x, y = sum_x / total_light, sum_y / total_light
+    x, y = sum_x / total, sum_y / total
     # Covariance matrix of that light; 1/12 is the variance of a block of side 1.
-    cov_xx, cov_xy = sum_xx / total_light - x * x + 1 / 12, sum_xy / total_light - x * y
-    cov_yy = sum_yy / total_light - y * y + 1 / 12
+    var_x, cov_xy, var_y = sum_xx / total - x * x + 1 / 12, sum_xy / total - x * y, sum_yy / total - y * y + 1 / 12
     variance = max(area / (2 * math.pi * math.log(2)), 0.25)
     # The shape of the moments, scaled to the size of the area.
-    scale = variance / math.sqrt(max(cov_xx * cov_yy - cov_xy * cov_xy, 1e-12))
-    cov_xx, cov_xy, cov_yy = scale * cov_xx, scale * cov_xy, scale * cov_yy
-    determinant = cov_xx * cov_yy - cov_xy * cov_xy
+    scale = variance / math.sqrt(max(var_x * var_y - cov_xy * cov_xy, 1e-12))
+    var_x, cov_xy, var_y = scale * var_x, scale * cov_xy, scale * var_y
+    determinant = var_x * var_y - cov_xy * cov_xy
     theta[0], theta[1], theta[2], theta[6] = amplitude, x, y, offset
-    theta[3], theta[4], theta[5] = cov_yy / determinant, -cov_xy / determinant, cov_xx / determinant
+    theta[3], theta[4], theta[5] = var_y / determinant, -cov_xy / determinant, var_x / determinant
     return theta, True
 
 
@@ -146,17 +145,17 @@ def _convert_to_pixels(theta, size):
     determinant = theta[3] * theta[5] - theta[4] ** 2
     square = size * size
     # Covariance matrix of the spot [px²].
-    cov_xx, cov_xy = theta[5] / determinant * square, -theta[4] / determinant * square
-    cov_yy = theta[3] / determinant * square
-    determinant_before = cov_xx * cov_yy - cov_xy * cov_xy
+    var_x, cov_xy = theta[5] / determinant * square, -theta[4] / determinant * square
+    var_y = theta[3] / determinant * square
+    determinant_before = var_x * var_y - cov_xy * cov_xy
     # At least a third of the variance remains, for spots no wider than a block.
-    minor_variance = (cov_xx + cov_yy) / 2 - math.hypot((cov_xx - cov_yy) / 2, cov_xy)
+    minor_variance = (var_x + var_y) / 2 - math.hypot((var_x - var_y) / 2, cov_xy)
     block_variance = min((square - 1) / 12, 2 * minor_variance / 3)
-    cov_xx, cov_yy = cov_xx - block_variance, cov_yy - block_variance
-    determinant = cov_xx * cov_yy - cov_xy * cov_xy
+    var_x, var_y = var_x - block_variance, var_y - block_variance
+    determinant = var_x * var_y - cov_xy * cov_xy
     pixel_theta[0] = theta[0] * math.sqrt(determinant_before / determinant)
     pixel_theta[1], pixel_theta[2] = size * theta[1] + (size - 1) / 2, size * theta[2] + (size - 1) / 2
-    pixel_theta[3], pixel_theta[4], pixel_theta[5] = cov_yy / determinant, -cov_xy / determinant, cov_xx / determinant
+    pixel_theta[3], pixel_theta[4], pixel_theta[5] = var_y / determinant, -cov_xy / determinant, var_x / determinant
     return pixel_theta
 
 

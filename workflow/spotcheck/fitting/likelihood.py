@@ -74,8 +74,7 @@ class _NormalEquations:
 
     def compute_slope(self, steps: tuple[np.ndarray, np.ndarray]) -> float:
         """Return the derivative of the log-likelihood along steps of the law [3] and of the centres [site, 2]."""
-        law_step, centre_step = steps
-        return float(self.score @ law_step + np.sum(self.centre_score * centre_step))
+        return float(self.score @ steps[0] + np.sum(self.centre_score * steps[1]))
 
 
 def fit_baseline(
@@ -140,10 +139,9 @@ def _sum_frames(
 ) -> _NormalEquations:
     """Return the normal equations at a law (p1, p2, peak) and centres on the sensor [site, (x, y)] in px."""
     sites, reading_law = len(centres), build_reading_law(sensor)
-    score, centre_score = np.zeros(3), np.zeros((sites, 2))
-    information, cross_information, centre_information = (
-        np.zeros(shape) for shape in ((3, 3), (sites, 3, 2), (sites, 2, 2))
-    )
+    score, information = np.zeros(3), np.zeros((3, 3))
+    centre_score, centre_information = np.zeros((sites, 2)), np.zeros((sites, 2, 2))
+    cross_information = np.zeros((sites, 3, 2))
     chi2 = pixels = 0.0
     for frame in frames:
 

@@ -14,7 +14,7 @@ background is estimated from its scatter between directions from the spot, which
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -134,7 +134,8 @@ def second_moments(image: np.ndarray) -> Moments:
         extent = max(float(np.trace(ellipse.covariance)), np.finfo(float).tiny)
         # Relative change of the width: half of that of the variance.
         change = float(np.abs(update.covariance - ellipse.covariance).max()) / extent / 2
-        ellipse = _Ellipse(*(old + step * (new - old) for old, new in zip(ellipse, update, strict=True)))
+        changes: zip[tuple[Any, Any]] = zip(ellipse, update, strict=True)
+        ellipse = _Ellipse(*(old + step * (new - old) for old, new in changes))
         if change < TOLERANCE:
             break
     return _describe_spot(pixels, is_unmeasured, ellipse, change)

@@ -38,7 +38,7 @@ NARROWEST = 0.2
 
 
 class Parametrization(NamedTuple):
-    """What the coordinates of a point of the search mean, in the form of the compiled code."""
+    """Meaning of the coordinates of a point of the search, in the form of the compiled code."""
 
     free: np.ndarray  # which of the seven coordinates are fitted [7]; the others keep their values
     uses_widths: bool  # whether the shape is given by widths and orientation, as fixed parameters need, and not by θ
@@ -49,7 +49,7 @@ class Parametrization(NamedTuple):
 def convert_widths(major, minor, orientation):
     """Return the inverse covariance a, b, c [1/px²] of a spot with widths [px] and orientation [rad]."""
     cos, sin = math.cos(orientation), math.sin(orientation)
-    # Eigenvalues of the inverse covariance along the long and the short axis.
+    # Inverse variances [1/px²] along the long and the short axis.
     along, across = 1 / (major * major), 1 / (minor * minor)
     return cos * cos * along + sin * sin * across, cos * sin * (along - across), sin * sin * along + cos * cos * across
 

@@ -98,8 +98,7 @@ def compute_precision(
         it the attribute `no_design` gives the reason. Without a sensor there is only the attribute `skipped` with the
         reason.
     """
-    attributes = {name: fits["measured"].attrs[name] for name in ("title", "dataset", "not_recorded")}
-    ds = xr.Dataset(attrs=attributes)
+    ds = xr.Dataset(attrs={name: fits["measured"].attrs[name] for name in ("title", "dataset", "not_recorded")})
     if sensor is None:
         return ds.assign_attrs(skipped="the bound needs gain and read noise of the sensor")
     for source, source_fits in fits.items():
@@ -134,17 +133,13 @@ def _compare_scatter(fits: xr.Dataset) -> dict[str, xr.DataArray]:
     scatter = value.std("repeat", ddof=1).where(count > 1)
     bound = ((stderr**2).mean("repeat") ** 0.5).where(count > 1)
     ratio = scatter / bound
-    # Values, units and long name of each variable.
-    variables = {
-        "scatter": (scatter, "of the parameter", "standard deviation (n - 1) over repeats"),
-        "bound": (bound, "of the parameter", "Cramer-Rao bound on it, rms over repeats"),
-        "ratio": (ratio, "1", "scatter over bound"),
-        "ratio_stderr": (ratio / np.sqrt(2 * (count - 1)), "1", "standard error of the ratio"),
-        "frames": (count, "1", "usable frames"),
-    }
+    ratio_stderr = ratio / np.sqrt(2 * (count - 1))
     return {
-        name: values.assign_attrs(units=units, long_name=long_name)
-        for name, (values, units, long_name) in variables.items()
+        "scatter": scatter.assign_attrs(units="of the parameter", long_name="standard deviation (n - 1) over repeats"),
+        "bound": bound.assign_attrs(units="of the parameter", long_name="Cramer-Rao bound on it, rms over repeats"),
+        "ratio": ratio.assign_attrs(units="1", long_name="scatter over bound"),
+        "ratio_stderr": ratio_stderr.assign_attrs(units="1", long_name="standard error of the ratio"),
+        "frames": count.assign_attrs(units="1", long_name="usable frames"),
     }
 
 

@@ -117,23 +117,13 @@ def _tabulate_law(sensor: SensorModel, table: FaintTable, rounding: float) -> Re
     # One level more, and at least two, to interpolate between; levels below one electron are always in the table.
     needed_levels = max(int(np.flatnonzero(differs | (table.levels < 1.0))[-1]) + 2, 2)
     kept = slice(0, min(needed_levels, len(plain_variance)))
-    return ReadingLaw(
-        # All numbers are floats: an integer would be another type, for which everything is compiled again.
-        float(gain),
-        float(read_variance),
-        float(rounding),
-        float(sensor.black_level_dn),
-        float(sensor.full_scale_dn),
-        float(sensor.full_well_e),
-        float(table.lowest_e),
-        float(table.step_e),
-        float(table.levels[kept][-1]),
-        np.ascontiguousarray(table.probability[kept]),
-        np.ascontiguousarray(table.slope[kept]) * table.step_e,
-        inverse_information[kept],
-        table.mean[kept],
-        reading_variance[kept],
-    )
+    # In the order of the fields of `ReadingLaw`.
+    constants = (gain, read_variance, rounding, sensor.black_level_dn, sensor.full_scale_dn, sensor.full_well_e)
+    levels = (table.lowest_e, table.step_e, table.levels[kept][-1])
+    probability, slope = np.ascontiguousarray(table.probability[kept]), np.ascontiguousarray(table.slope[kept])
+    arrays = (probability, slope * table.step_e, inverse_information[kept], table.mean[kept], reading_variance[kept])
+    # All numbers are floats: an integer would be another type, for which everything is compiled again.
+    return ReadingLaw._make([*map(float, constants + levels), *arrays, None])
 
 
 @compiled
@@ -425,8 +415,7 @@ def compute_row_variances(readings, mean, electrons, law, weight, score):
         else:
             top = min(law.full_scale, law.black_level + law.gain * law.full_well)
             unclipped_variance = law.gain**2 * (electrons[k] + law.read_variance + law.rounding_variance)
-            sd = math.sqrt(unclipped_variance)
-            variance = unclipped_variance * _clipped_normal_variance((top - mean[k]) / sd)
+            variance = unclipped_variance * _clipped_normal_variance((top - mean[k]) / math.sqrt(unclipped_variance))
         # A clipped pixel has no variance; that of the rounding is the least.
         weight[k] = max(variance, ROUNDING_VARIANCE)
         chi2 += (reading - mean[k]) ** 2 / weight[k]

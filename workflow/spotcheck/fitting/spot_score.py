@@ -135,18 +135,15 @@ def _sum_pixels(image, theta, weighting, law, top_hat):
         else:
             is_plain = lowest >= law.highest_level and highest < clipping_onset
             row_chi2, row_used = score_row_by_likelihood(image[j], electrons, is_plain, j, law.maps, law, weight, score)
-        chi2 += row_chi2
-        used += row_used
+        chi2, used = chi2 + row_chi2, used + row_used
         if top_hat:
             plateau_wgg, plateau_wg, plateau_sg, plateau_w, plateau_s = _sum_plateau(gaussian, weight, score)
             sum_wgg[0, 0] += plateau_wgg
             sum_wg[0, 0] += plateau_wg
             sum_sg[0, 0] += plateau_sg
-            sum_w += plateau_w
-            sum_s += plateau_s
+            sum_w, sum_s = sum_w + plateau_w, sum_s + plateau_s
         row_wgg, row_wg, row_w, row_sg, row_s = _sum_powers(gaussian, weight, score, theta[1])
-        sum_w += row_w
-        sum_s += row_s
+        sum_w, sum_s = sum_w + row_w, sum_s + row_s
         dy_power = 1.0
         for m in range(5):
             for n in range(5 - m):

@@ -360,8 +360,7 @@ def _flag_fits(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.
     with np.errstate(invalid="ignore"):
         is_trusted = (amplitude > 0) & (minor > NARROWEST_TRUSTED) & (major < shapes.max(axis=1))
         is_trusted &= (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
-        limit = MAX_RELATIVE_ERROR * np.abs(value[:, SIZE_COLUMNS])
-        is_trusted &= np.all(stderr[:, SIZE_COLUMNS] <= limit, axis=1)
+        is_trusted &= np.all(stderr[:, SIZE_COLUMNS] <= MAX_RELATIVE_ERROR * np.abs(value[:, SIZE_COLUMNS]), axis=1)
     return np.where(np.isnan(amplitude), flag("not_converged"), np.where(is_trusted, 0, flag("at_limit")))
 
 

@@ -171,8 +171,7 @@ class ReadingDistribution:
             shift, square = shift / total, square / total
             shift_slope = (shift_slope - shift * total_slope) / total
             square_slope = (square_slope - square * total_slope) / total
-            variance_slope = square_slope - 2 * shift * shift_slope
-            moments[:, block] = middle + shift, square - shift**2, shift_slope, variance_slope
+            moments[:, block] = middle + shift, square - shift**2, shift_slope, square_slope - 2 * shift * shift_slope
         return ReadingMoments(moments[0], moments[1], *(moments[2:] / self.sensor.gain_dn_per_e))
 
     def expected_maximum(self, light: ArrayLike) -> float:

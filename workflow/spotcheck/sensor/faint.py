@@ -62,13 +62,10 @@ def tabulate_faint_light(sensor: SensorModel) -> FaintTable:
     levels = step * np.arange(-levels_below_zero, np.ceil(min(highest, LARGEST_TABLE_E) / step) + 1)
     distribution = ReadingDistribution(replace(sensor, dark_current_e_per_s=0.0))
     # `probabilities` takes means that are either all below 0 or none.
-    signed_levels = levels[:levels_below_zero], levels[levels_below_zero:]
-    codes = [distribution.probabilities(level_group) for level_group in signed_levels if level_group.size]
+    codes = [distribution.probabilities(group) for group in np.split(levels, [levels_below_zero]) if group.size]
     # Probability and slope [2, level, reading], with columns for the readings 0, 1, 2 …
-    highest_code = max(group.codes[-1] for group in codes)
-    padded = [
-        np.pad(group[1:], ((0, 0), (0, 0), (group.first_code, highest_code - group.codes[-1]))) for group in codes
-    ]
+    last_code = max(group.codes[-1] for group in codes)
+    padded = [np.pad(group[1:], ((0, 0), (0, 0), (group.first_code, last_code - group.codes[-1]))) for group in codes]
     return _build_table(float(levels[0]), step, *np.concatenate(padded, axis=1))
 
 

@@ -282,8 +282,7 @@ def tabulate_readings(distribution: ReadingDistribution, light_max: float) -> Re
 @lru_cache(maxsize=32)
 def _tabulate(distribution: ReadingDistribution, light_max: float) -> ReadingTable:
     """Return the table for `tabulate_readings`, which holds the lock."""
-    sensor = distribution.sensor
-    gain, dark_e = sensor.gain_dn_per_e, float(distribution.mean_electrons(0.0))
+    gain, dark_e = distribution.sensor.gain_dn_per_e, float(distribution.mean_electrons(0.0))
     last_changing_e = min(light_max / gain + dark_e, saturating_electrons(distribution))
     first_root, nodes = _tabulate_unsaturated(distribution, last_changing_e)
     # Saturated light has nodes too: with a random factor it includes darker light that is not saturated
@@ -321,8 +320,9 @@ def saturating_electrons(distribution: ReadingDistribution) -> float:
     # Number of electrons at which a reading without shot noise is saturated.
     end = sensor.full_well_e
     if np.isfinite(sensor.full_scale_dn):
-        full_scales = np.geomspace(*SATURATION_RANGE, SATURATION_STEPS)
-        electrons = full_scales * (sensor.full_scale_dn + 1.0) / sensor.gain_dn_per_e
+        electrons = (
+            np.geomspace(*SATURATION_RANGE, SATURATION_STEPS) * (sensor.full_scale_dn + 1.0) / sensor.gain_dn_per_e
+        )
         charge = distribution.charge_signal(np.append(electrons, MOST_ELECTRONS))
         if distribution.charge_levels:
             charge = np.minimum(charge, max(level for _, level in distribution.charge_levels))
