@@ -52,8 +52,8 @@ LEFT_OUT = 1e-9
 FAINT_GRAIN_NODES = 5
 # Light [DN] from which on averages over granular light are convolutions.
 FAINT_LIGHT = 0.05
-# Range of the signal that is searched for saturation, as multiples of full scale, and number of steps in it.
-SATURATION_RANGE, SATURATION_STEPS = (1e-2, 64.0), 400
+# Signals that are searched for saturation: first and last as multiples of full scale, and their number.
+SATURATION_GRID = (1e-2, 64.0, 400)
 
 
 class ReadingMoments(NamedTuple):
@@ -320,9 +320,7 @@ def saturating_electrons(distribution: ReadingDistribution) -> float:
     # Number of electrons at which a reading without shot noise is saturated.
     end = sensor.full_well_e
     if np.isfinite(sensor.full_scale_dn):
-        electrons = (
-            np.geomspace(*SATURATION_RANGE, SATURATION_STEPS) * (sensor.full_scale_dn + 1.0) / sensor.gain_dn_per_e
-        )
+        electrons = np.geomspace(*SATURATION_GRID) * (sensor.full_scale_dn + 1.0) / sensor.gain_dn_per_e
         charge = distribution.charge_signal(np.append(electrons, MOST_ELECTRONS))
         if distribution.charge_levels:
             charge = np.minimum(charge, max(level for _, level in distribution.charge_levels))
