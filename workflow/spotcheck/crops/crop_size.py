@@ -32,26 +32,38 @@ class CropProposal(NamedTuple):
 
 
 def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOCHROME) -> CropProposal:
-    """Return the crop size for the widest spot in a sample of the spot frames of a folder."""
-    spots = [frame for frame, row in zip(draft.frames, draft.rows, strict=True) if row["kind"] == "spot"]
-    if not spots:
+    """Return the crop size for the widest spot in a sample of the spot frames of a folder.
+
+    Parameters
+    ----------
+    folder : folder of the images.
+    draft : frames found in it, and their rows of the manifest.
+    colour : how colour images are converted to one channel.
+    """
+    spot_frames = [frame for frame, row in zip(draft.frames, draft.rows, strict=True) if row["kind"] == "spot"]
+    if not spot_frames:
         return CropProposal(None, True)
     sigmas = []
-    for frame in spots[:: -(-len(spots) // MAX_FRAMES)]:
+    # Every n-th frame, with n rounded up; unreadable frames are left out here and reported by the check.
+    for frame in spot_frames[:: -(-len(spot_frames) // MAX_FRAMES)]:
         try:
             pixels = files.read_pixels(folder / frame.file, frame.page, frame.file, colour)
         except InputError:
             continue
         if find_light_centroid(pixels, Instrument.crop_px).exists:
             sigmas.append(estimate_sigma(pixels))
+    # Rounded up to a multiple of the step, within the default crop size and the smallest frame.
     side = STEP_PX * -(-CROP_SIGMAS * max(sigmas, default=0.0) // STEP_PX)
-    smallest_frame = min(min(frame.shape) for frame in spots)
+    smallest_frame = min(min(frame.shape) for frame in spot_frames)
     side = int(min(smallest_frame, max(Instrument.crop_px, side)))
     return CropProposal(None if side == Instrument.crop_px else side, bool(sigmas))
 
 
 def estimate_sigma(pixels: np.ndarray) -> float:
-    """Return the standard deviation of a spot along its longer axis [px], from the region above half its peak."""
+    """Return the standard deviation of a spot along its longer axis [px], from the region above half its peak.
+
+    `pixels` [row, column] are in DN. The result is 0 if that region has fewer than three blocks.
+    """
     side = min(BLOCK_PX, *pixels.shape)
     means = average_blocks(pixels, side)
     background = float(np.median(means))

@@ -1,4 +1,8 @@
-"""The crop stage: cut out the spot of each frame and flag unusable frames (crops.nc)."""
+"""The crop stage: cut out the spot of each frame and flag unusable frames (crops.nc).
+
+The frames lie on a grid of conditions such as angle, exposure and repeat. Each frame has two crops, one for each of
+`CENTRINGS`. The status of a crop is a set of flags, stored as bits (`store.STATUS`).
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +25,7 @@ CENTRINGS = ("light", "maximum")
 AT_LIGHT = CENTRINGS.index("light")
 # A crop is saturated if at most this part of its pixels reads below full scale.
 MAX_UNCLIPPED_SATURATED = 0.01
-# Variables of crops.nc that each frame fills.
+# Variables of crops.nc that each frame fills: name, dimensions, type, unit and description.
 VARIABLES = {
     "image": store.Variable(
         ("centring", "y", "x"), "f4", "DN", "crop; NaN beyond the frame and where the pixel is bad"
@@ -38,53 +42,55 @@ VARIABLES = {
 def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, inputs: list) -> None:
     """Write crops.nc: both crops of every spot, their position on the sensor, and a reduced copy of the whole frame.
 
-    Outlier frames are flagged. Attribute `remarks` gives the reason for each frame that is set aside.
+    Outlier frames are flagged. The attribute `remarks` of crops.nc gives the reason for each frame that is set aside.
 
     Parameters
     ----------
     dataset : Dataset
         Its spot frames are decoded one at a time.
-    table : Dataset
+    table : xr.Dataset
         frames.nc of the dataset.
     path : Path
         crops.nc to write.
     code, inputs
-        Provenance, see `store.write`.
+        Provenance, see `store.write`: digest of the code that writes, and paths of the files that are read.
 
     Raises
     ------
     InputError
-        If a frame is missing in `table` or has changed since.
+        If a frame is missing in `table`, or if its file has changed since frames.nc was written.
     """
     side = dataset.instrument.crop_px
     full_scale = float(table["full_scale"])
     columns = (table[name].values for name in ("file", "page", "copy_of"))
-    is_copy = {(str(file), int(page)): int(first) >= 0 for file, page, first in zip(*columns, strict=True)}
-    extra = _crop_coordinates(dataset, (int(table["rows"]), int(table["columns"])))
+    # `copy_of` is −1 for a frame that is no copy.
+    is_copy = {(str(file), int(page)): int(copy_of) >= 0 for file, page, copy_of in zip(*columns, strict=True)}
+    coordinates = _crop_coordinates(dataset, (int(table["rows"]), int(table["columns"])))
     with (
-        store.frame_writer(path, dataset, extra, VARIABLES, code=code, inputs=inputs) as writer,
+        store.frame_writer(path, dataset, coordinates, VARIABLES, code=code, inputs=inputs) as writer,
         file_cache.verify_unchanged(dataset, table),
     ):
+        # In the order of `dataset.spots`, which is that of `dataset.cells`.
         indices, statuses, moments = [], [], []
         for index, frame in progress.track(dataset.cells(), "cropping spots", len(dataset.spots)):
             if (frame.file, frame.page) not in is_copy:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
             flags = store.flag("copy") if is_copy[frame.file, frame.page] else 0
             flags |= store.flag("dropped") if frame.keep is False else 0
-            cell = _process_frame(frames.read_masked_image(dataset, frame), side, full_scale, flags)
-            writer.put(index, cell)
+            values = _process_frame(frames.read_masked_image(dataset, frame), side, full_scale, flags)
+            writer.put(index, values)
             indices.append(index)
-            statuses.append(cell["status"])
-            image, left, top = (cell[name][AT_LIGHT] for name in ("image", "left", "top"))
-            moments.append(measure_moments(image, left, top) if is_usable(cell["status"][AT_LIGHT]) else None)
-        revised, remarks = _flag_outliers(dataset, np.array(statuses), moments)
-        for index, status in zip(indices, revised, strict=True):
+            statuses.append(values["status"])
+            image, left, top = (values[name][AT_LIGHT] for name in ("image", "left", "top"))
+            moments.append(measure_moments(image, left, top) if is_usable(values["status"][AT_LIGHT]) else None)
+        revised_statuses, remarks = _flag_outliers(dataset, np.array(statuses), moments)
+        for index, status in zip(indices, revised_statuses, strict=True):
             writer.put(index, {"status": status})
         writer.remark(remarks)
 
 
 def _crop_coordinates(dataset: Dataset, shape: tuple[int, int]) -> xr.Dataset:
-    """Return the coordinates of crops.nc beyond the grid of spots, for frames of `shape` (rows, columns)."""
+    """Return the coordinates of crops.nc other than those of the grid, for frames of `shape` (rows, columns)."""
     side, block = dataset.instrument.crop_px, min(frames.BLOCK_PX, *shape)
     coordinates = xr.Dataset(attrs={"title": dataset.title, "dataset": dataset.name})
     attributes = {"units": "1", "long_name": "what the crop is centred on"}
@@ -102,23 +108,33 @@ def _crop_coordinates(dataset: Dataset, shape: tuple[int, int]) -> xr.Dataset:
 
 
 def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int) -> dict[str, Any]:
-    """Return all variables of one frame; `flags` are added to the status that follows from its pixels."""
+    """Return the values of `VARIABLES` for one frame [row, column] in DN, NaN at bad pixels.
+
+    `side` is that of the crop [px], and `full_scale` the largest reading [DN]. `flags` are set in the status of both
+    crops, beside those that the pixels give.
+    """
+    # In the order of `CENTRINGS`.
     spots = (spotfinding.find_light_centroid(pixels, side), spotfinding.find_brightest_pixel(pixels))
     images = np.stack([spotfinding.cut_crop(pixels, spot, side) for spot in spots])
     reduced, extremes = frames.reduce_frame(pixels), measure_extremes(frames.select_good_readings(pixels))
+    # A plateau below full scale also clips.
     clip = float(extremes.highest) if extremes.has_plateau() else full_scale
     tops, lefts = [spot.row - side // 2 for spot in spots], [spot.column - side // 2 for spot in spots]
-    status = []
+    statuses = []
     for image, top, left in zip(images, tops, lefts, strict=True):
         is_inside = 0 <= top <= pixels.shape[0] - side and 0 <= left <= pixels.shape[1] - side
-        masked = 0 if is_inside else store.flag("masked")
-        status.append(flags | masked | _flag_readings(image, spots[AT_LIGHT].exists, full_scale, clip))
-    means = {"block_mean": reduced.block_mean, "row_mean": reduced.row_mean, "column_mean": reduced.column_mean}
-    return {"image": images, "top": tops, "left": lefts, "status": status} | means
+        # A crop is masked where it reaches beyond the frame.
+        masked_flag = 0 if is_inside else store.flag("masked")
+        statuses.append(flags | masked_flag | _flag_readings(image, spots[AT_LIGHT].exists, full_scale, clip))
+    return {"image": images, "top": tops, "left": lefts, "status": statuses} | reduced._asdict()
 
 
 def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: float) -> int:
-    """Return the flags of a crop; `clip` is the reading at which its own frame is clipped [DN]."""
+    """Return the flags that the pixels of a crop [row, column] in DN give: saturated, black or clipped.
+
+    `has_spot` tells whether the frame has light above the noise, and `clip` is the reading [DN] at which it is clipped.
+    A saturated crop has no other flag.
+    """
     readings = image[np.isfinite(image)]
     if np.count_nonzero(readings < full_scale) <= MAX_UNCLIPPED_SATURATED * readings.size:
         return store.flag("saturated")
@@ -130,17 +146,27 @@ def _flag_outliers(
 ) -> tuple[np.ndarray, list[str]]:
     """Flag outlier frames, and clear flags of frames with keep = yes.
 
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset; the column `keep` of its manifest decides by hand.
+    statuses : array [spot, centring]
+        Flags of the crops, in the order of `dataset.spots`. They are revised in place.
+    moments : list
+        Moments of each of `dataset.spots`; None for unusable frames.
+
     Returns
     -------
     statuses : array [spot, centring]
-        Revised in place.
+        The revised flags.
     remarks : list of str
-        One sentence for each reason, with the frames that it applies to.
+        One sentence for each reason for which frames are set aside, or used by hand, with those frames.
     """
     outliers, remark = find_outlier_frames(dataset, moments)
     reasons = {outlier.spot: outlier.reason for outlier in outliers}
     for outlier in outliers:
         statuses[outlier.spot] |= store.flag(outlier.flag)
+    # Labels of frames by what happens to them and why, such as "set aside as black: …".
     labels_by_fate: dict[str, list[str]] = {}
     for spot, frame in enumerate(dataset.spots):
         flags = statuses[spot, AT_LIGHT] & store.EXCLUDED
@@ -161,16 +187,17 @@ def _flag_outliers(
 
 
 def is_usable(status: int | np.ndarray | xr.DataArray) -> bool:
-    """Return whether the status of one crop allows a fit and metrics."""
+    """Return whether the status of one crop allows a fit and metrics; it must be a single number."""
     return not int(status) & store.UNUSABLE
 
 
 def iterate_cells(ds: xr.Dataset, dims: tuple[str, ...]) -> Iterator[dict[str, int]]:
-    """Yield the index of each cell along `dims` that has a frame, as keywords for `isel`.
+    """Yield the index of each cell of the grid along `dims` that has a frame, as keywords for `isel`.
 
-    Frames can then be read one at a time. Most cells may be empty, for example if each repeat has its own exposure.
+    A cell has a frame if it has at least one along the other dimensions. Frames can then be read one at a time. Most
+    cells may be empty, for example if each repeat has its own exposure.
     """
-    others = [dim for dim in ds["status"].dims if dim not in dims]
-    has_frame = (ds["status"] != store.flag("missing")).any(others).transpose(*dims).values
+    other_dims = [dim for dim in ds["status"].dims if dim not in dims]
+    has_frame = (ds["status"] != store.flag("missing")).any(other_dims).transpose(*dims).values
     for index in np.argwhere(has_frame).tolist():
         yield dict(zip(dims, index, strict=True))

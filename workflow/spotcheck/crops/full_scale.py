@@ -24,6 +24,8 @@ MIN_PLATEAU_PX, MIN_PLATEAU_RATIO = 10, 5
 # A plateau above this part of the stated range is the end of the converter: many stop slightly below their largest
 # number, at 4080 or 4094 of 4095. A lower plateau is saturation of the sensor, which the verdict detects.
 END_OF_RANGE = 0.99
+# Readings of fewer steps may all be multiples of a step above 1 by chance.
+MIN_STEPS = 16
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class ReadingExtremes:
     highest: int  # highest reading [DN]
     at_highest: int  # number of pixels at the highest reading
     at_next: int  # largest number of pixels at one of the `READINGS_BELOW` readings below the highest
-    bits: int  # bitwise OR of all readings
+    bits: int  # bitwise OR of all readings: the bits that any reading sets
 
     def has_plateau(self, lowest: int | None = None) -> bool:
         """Return whether pixels gather at the highest reading.
@@ -50,7 +52,7 @@ class ReadingExtremes:
 class FullScale(NamedTuple):
     """Largest possible reading of the frames of a dataset."""
 
-    reading: int  # [DN]
+    reading: int  # largest possible reading [DN]
     source: str  # how it is known, in words; starts with `FROM_FRAMES` if clipped frames show it
     remarks: tuple[str, ...] = ()  # sentences for the user
 
@@ -63,13 +65,17 @@ def measure_extremes(pixels: np.ndarray) -> ReadingExtremes:
     """Return the statistics of the extreme readings of a frame of integers [DN], of any shape."""
     highest, bits = int(pixels.max()), int(np.bitwise_or.reduce(pixels, axis=None))
     step = find_reading_step(bits)
-    below = highest - pixels[pixels >= highest - min(READINGS_BELOW * step, highest)].astype(np.int64)
-    counts = np.bincount(below // step, minlength=2)
+    distance = highest - pixels[pixels >= highest - min(READINGS_BELOW * step, highest)].astype(np.int64)
+    # Number of pixels at the highest reading and at each step below.
+    counts = np.bincount(distance // step, minlength=2)
     return ReadingExtremes(int(pixels.min()), highest, int(counts[0]), int(counts[1:].max()), bits)
 
 
 def find_reading_step(bits: int) -> int:
-    """Return the smallest step between readings [DN] by the bits that any of them sets: 16 for 12 bits in upper 16."""
+    """Return the smallest step between readings [DN]: the lowest bit that any reading sets, or 1 if none is set.
+
+    `bits` is the bitwise OR of the readings. The step is 16 if 12 bits are stored in the upper bits of 16.
+    """
     return bits & -bits or 1
 
 
@@ -93,10 +99,12 @@ def find_full_scale(extremes: Sequence[ReadingExtremes], instrument: Instrument,
     bits = int(np.bitwise_or.reduce([frame.bits for frame in extremes])) if extremes else 0
     highest = max((frame.highest for frame in extremes), default=0)
     remarks = _check_alignment(highest, bits, instrument)
+    # The data sheet, or the user, states the value.
     if (stated := instrument.sensor.full_scale_dn) is not None:
         file = instrument.get_file_name("sensor.full_scale_dn")
-        above = f"{file}: sensor.full_scale_dn is {stated}, but frames read up to {highest} DN; correct it"
-        return FullScale(stated, "instrument.yaml", (*remarks, above) if highest > stated else remarks)
+        too_low = f"{file}: sensor.full_scale_dn is {stated}, but frames read up to {highest} DN; correct it"
+        return FullScale(stated, "instrument.yaml", (*remarks, too_low) if highest > stated else remarks)
+    # Frames that show a plateau at the highest reading of the dataset.
     lowest = min((frame.lowest for frame in extremes), default=0)
     clipped = [frame for frame in extremes if frame.highest == highest and frame.has_plateau(lowest)]
     converter = "bits of the converter"
@@ -118,14 +126,19 @@ def find_full_scale(extremes: Sequence[ReadingExtremes], instrument: Instrument,
     advice = (
         f"{proposal} would be right" if proposal else "fits take them as whole, and the verdict looks for saturation"
     )
-    low = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {range_end} DN, but {plateau}; {advice}"
-    return FullScale(range_end, converter, (*remarks, low))
+    remark = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {range_end} DN, but {plateau}; {advice}"
+    return FullScale(range_end, converter, (*remarks, remark))
 
 
 def _propose_bit_depth(highest: int, bits: int) -> str:
-    """Return the keys of instrument.yaml for a converter whose largest reading is `highest`; "" if there is none."""
+    """Return the keys of instrument.yaml for a converter whose largest reading is `highest` [DN], as text.
+
+    It is "" if no converter ends there: the number of readings is then no power of two. `bits` is the bitwise OR of all
+    readings.
+    """
     step = find_reading_step(bits)
     readings = highest // step + 1
+    # A power of two has no bit in common with the number below it.
     if readings & (readings - 1):
         return ""
     shift = f" and sensor.value_shift_bits {step.bit_length() - 1}" if step > 1 else ""
@@ -133,9 +146,13 @@ def _propose_bit_depth(highest: int, bits: int) -> str:
 
 
 def _check_alignment(highest: int, bits: int, instrument: Instrument) -> tuple[str, ...]:
-    """Return a remark if readings are left-aligned but not declared so, as this underestimates their rounding noise."""
+    """Return a remark if all readings are multiples of a step above 1; otherwise an empty tuple.
+
+    The bits of the converter are then the upper ones of the stored pixel, and rounding noise is larger than assumed.
+    `highest` [DN] and `bits` are those of readings after the shift by `sensor.value_shift_bits`.
+    """
     step = find_reading_step(bits)
-    if step == 1 or highest < READINGS_BELOW * step:
+    if step == 1 or highest < MIN_STEPS * step:
         return ()
     shift = instrument.sensor.value_shift_bits + step.bit_length() - 1
     return (

@@ -34,40 +34,42 @@ def check_dataset(dataset: Dataset) -> frames.FrameFormat:
 
 
 def ingest_frames(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] = MappingProxyType({})) -> xr.Dataset:
-    """Return the table of all frames of the manifest, which is written as frames.nc.
+    """Return the table of all frames of the manifest, the content of frames.nc.
 
     Parameters
     ----------
     dataset : Dataset
         Every frame is decoded once.
     before : mapping
-        Digests of earlier runs by path. They are reused for files whose size and times have not changed.
+        Records (digest, size, times) of files from earlier runs, by full path. Digests are reused for files whose size
+        and times have not changed.
 
     Returns
     -------
-    Dataset
-        Digest, extreme readings, clipped pixels and copies by `frame`; shape, bits and full scale of all frames;
-        attribute `remarks`.
+    xr.Dataset
+        Along `frame`: digest, extreme readings, pixels at full scale and copies. Once: shape of a frame, bits of a
+        stored pixel, full scale. The attribute `remarks` has sentences for the user.
 
     Raises
     ------
     InputError
-        If a file changes while it is read: its digest would not belong to the pixels.
+        If `check_dataset` fails, or if a file changes while it is read: its digest would not belong to the pixels.
     """
-    probe = check_dataset(dataset)
+    frame_format = check_dataset(dataset)
     statistics, digests = _decode_frames(dataset, before)
     extremes, means, zeros, copy_of = zip(*statistics, strict=True)
-    full_scale = find_full_scale(extremes, dataset.instrument, probe.bits)
-    at_full_scale = [frame.at_highest if frame.highest == full_scale.reading else 0 for frame in extremes]
+    full_scale = find_full_scale(extremes, dataset.instrument, frame_format.bits)
+    at_full_scale = [extreme.at_highest if extreme.highest == full_scale.reading else 0 for extreme in extremes]
     manifest = dataset.frames
     columns = {
         "frame": _column(range(len(manifest)), "i8", "1", "row of the manifest, from 0"),
-        "minimum": _column([frame.lowest for frame in extremes], "i4", "DN", "smallest reading"),
-        "maximum": _column([frame.highest for frame in extremes], "i4", "DN", "largest reading"),
+        "minimum": _column([extreme.lowest for extreme in extremes], "i4", "DN", "smallest reading"),
+        "maximum": _column([extreme.highest for extreme in extremes], "i4", "DN", "largest reading"),
         "mean": _column(means, "f8", "DN", "mean reading"),
         "at_full_scale": _column(at_full_scale, "i8", "pixel", "pixels that read full scale"),
         "at_zero": _column(zeros, "i8", "pixel", "pixels that read zero"),
         "copy_of": _column(copy_of, "i4", "1", "earlier frame that holds the same pixels; -1 where none does"),
+        # `file` may end with a path inside the file, as for HDF5; `path` is the file alone.
         "file": _column([frame.file for frame in manifest], object, "1", "path in the dataset folder"),
         "kind": _column([frame.kind for frame in manifest], object, "1", "spot, dark or flat"),
         "sha256": _column([digests[frame.path] for frame in manifest], object, "1", "SHA-256 of the file"),
@@ -78,15 +80,16 @@ def ingest_frames(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] 
         "page": _column([frame.page for frame in manifest], float, "1", "page of a stack, from 0"),
     }
     shared = {
-        "rows": ((), probe.shape[0], {"units": "pixel", "long_name": "rows of every frame"}),
-        "columns": ((), probe.shape[1], {"units": "pixel", "long_name": "columns of every frame"}),
-        "container_bits": ((), probe.bits, {"units": "bit", "long_name": "bits of a stored pixel"}),
+        "rows": ((), frame_format.shape[0], {"units": "pixel", "long_name": "rows of every frame"}),
+        "columns": ((), frame_format.shape[1], {"units": "pixel", "long_name": "columns of every frame"}),
+        "container_bits": ((), frame_format.bits, {"units": "bit", "long_name": "bits of a stored pixel"}),
         "full_scale": ((), full_scale.reading, {"units": "DN", "long_name": "largest possible reading"}),
     }
-    extra = _extra_columns(dataset, {*columns, *shared})
-    table = xr.Dataset(columns | shared, extra, {"title": dataset.title, "dataset": dataset.name})
+    coordinates = _extra_columns(dataset, {*columns, *shared})
+    table = xr.Dataset(columns | shared, coordinates, {"title": dataset.title, "dataset": dataset.name})
     table["full_scale"].attrs["source"] = full_scale.source
-    remarks = [*probe.remarks, *list_unusual_values(dataset), *full_scale.remarks, *_name_copies(dataset, copy_of)]
+    copies = _name_copies(dataset, copy_of)
+    remarks = [*frame_format.remarks, *list_unusual_values(dataset), *full_scale.remarks, *copies]
     return store.add_remarks(table, remarks)
 
 
@@ -95,38 +98,55 @@ def _decode_frames(
 ) -> tuple[list[tuple[ReadingExtremes, float, int, int]], dict[str, str]]:
     """Decode all frames and compute the digests of their files.
 
+    Parameters
+    ----------
+    dataset : Dataset
+        Every frame of its manifest is decoded once.
+    before : mapping
+        Records of files from earlier runs, by full path.
+
     Returns
     -------
     statistics : list of tuple
-        Extreme readings, mean [DN], number of zeros and first frame with the same pixels (−1: none) of each frame.
+        For each frame: extreme readings, mean [DN], number of pixels that read 0, and row of the first frame with the
+        same pixels (−1: none). Bad pixels are left out.
     digests : dict
-        SHA-256 of each file by path.
+        SHA-256 of each file by its path in the folder (`Frame.path`).
+
+    Raises
+    ------
+    InputError
+        If a file changes while it is read.
     """
-    statistics, looks, first_row = [], dict[str, file_cache.FileRecord](), dict[bytes, int]()
+    statistics, records, first_rows = [], dict[str, file_cache.FileRecord](), dict[bytes, int]()
     for row, frame in enumerate(progress.track(dataset.frames, "reading frames")):
-        if frame.path not in looks:
+        if frame.path not in records:
             path = dataset.folder / frame.path
-            looks[frame.path] = file_cache.record_file(path, before.get(str(path)))
+            records[frame.path] = file_cache.record_file(path, before.get(str(path)))
         pixels = frames.select_good_readings(frames.read_masked_image(dataset, frame))
         extremes = measure_extremes(pixels)
-        # ASSUME: noise makes no two exposures equal in every pixel, unless all of them read the same, as black ones do.
+        # ASSUME: two exposures that agree in every pixel are copies, as noise makes them differ. Frames with the same
+        # reading in all pixels, such as black ones, do not count as copies.
         is_uniform = extremes.lowest == extremes.highest
-        first = row if is_uniform else first_row.setdefault(hashlib.sha256(pixels.data).digest(), row)
+        first_row = row if is_uniform else first_rows.setdefault(hashlib.sha256(pixels.data).digest(), row)
         zeros = int(pixels.size - np.count_nonzero(pixels))
-        statistics.append((extremes, float(pixels.mean(dtype=np.float64)), zeros, first if first < row else -1))
-    for file, look in looks.items():
-        if file_cache.record_file(dataset.folder / file, look).sha256 != look.sha256:
+        statistics.append((extremes, float(pixels.mean(dtype=np.float64)), zeros, first_row if first_row < row else -1))
+    for file, record in records.items():
+        if file_cache.record_file(dataset.folder / file, record).sha256 != record.sha256:
             raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
-    return statistics, {path: look.sha256 for path, look in looks.items()}
+    return statistics, {file: record.sha256 for file, record in records.items()}
 
 
 def _column(values: Sequence[Any], dtype: Any, units: str, long_name: str) -> tuple:
-    """Return a variable of frames.nc with one value per frame."""
+    """Return dimension, values and attributes of a variable of frames.nc with one value per frame."""
     return "frame", np.array(values, dtype), {"units": units, "long_name": long_name}
 
 
 def _extra_columns(dataset: Dataset, reserved: set[str]) -> dict[str, tuple]:
-    """Return the additional columns of the manifest as coordinates, under names that netCDF allows."""
+    """Return the additional columns of the manifest as coordinates, under names that netCDF allows.
+
+    `reserved` are the names of other variables, which are avoided. Values are texts, as in the manifest.
+    """
     coordinates = {}
     for column in dataset.frames[0].extra:
         name = re.sub(r"\W", "_", column)[:100]
@@ -137,7 +157,10 @@ def _extra_columns(dataset: Dataset, reserved: set[str]) -> dict[str, tuple]:
 
 
 def _name_copies(dataset: Dataset, copy_of: Sequence[int]) -> list[str]:
-    """Return one remark per frame that is a copy; for many, the first and the number of the others."""
+    """Return one remark for each frame that is a copy, at most `MAX_NAMED`, and the number of the others.
+
+    `copy_of` [frame] is the row of the first frame with the same pixels; −1 for a frame that is no copy.
+    """
     remarks = [
         f"{frame.label} holds the same pixels as {dataset.frames[first].label}, so that it is left out as a copy"
         for frame, first in zip(dataset.frames, copy_of, strict=True)
@@ -148,9 +171,12 @@ def _name_copies(dataset: Dataset, copy_of: Sequence[int]) -> list[str]:
 
 
 def exclude_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
-    """Return the dataset without copies of other frames (by its frames.nc) and without frames with keep = no."""
+    """Return the dataset without the frames that its frames.nc calls copies, and without those with keep = no.
+
+    `table` is frames.nc, with one row for each frame of the dataset.
+    """
     rows = zip(dataset.frames, table["copy_of"].values, strict=True)
-    return replace(dataset, frames=tuple(frame for frame, first in rows if first < 0 and frame.keep is not False))
+    return replace(dataset, frames=tuple(frame for frame, copy_of in rows if copy_of < 0 and frame.keep is not False))
 
 
 def read_full_scale(table: xr.Dataset) -> FullScale:

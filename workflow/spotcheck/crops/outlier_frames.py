@@ -1,5 +1,8 @@
 """Find outlier frames: spot frames that are blocked, displaced or exposed twice.
 
+The frames lie on a grid of angle, exposure, repeat and other conditions; the index of a frame has one number for each
+axis. A condition is a combination of all axes but the repeat, and a site one of all axes but the exposure.
+
 Brightness, width and position of each spot are compared with those of its siblings. The siblings of a frame are the
 repeats of its condition, after the offset of its site is removed. If a condition has fewer than three repeats, the
 siblings are the neighbouring frames of the same site in a series of exposures or of positions along the beam.
@@ -16,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from spotcheck.crops.spotfinding import median_filter_3x3
+from spotcheck.crops.spotfinding import MEDIAN_DIFFERENCE, median_filter_3x3
 from spotcheck.dataset.folder import Dataset
 
 # Largest rate of good frames that are reported. It holds for quantities with the heavy tails of Student's t
@@ -28,19 +31,23 @@ MAD_TO_SIGMA, MAD_EFFICIENCY = 1.4826, 0.37
 MIN_LIGHT, MAX_LIGHT, MIN_WIDTH, MAX_WIDTH, MAX_SHIFT = 0.75, 1.5, 0.75, 1.33, 0.5
 # Fewest siblings for a test. At most one of 3 siblings, and one of 10 spots of the dataset, can be an outlier.
 MIN_SIBLINGS, SIBLINGS_PER_OUTLIER, SPOTS_PER_OUTLIER = 3, 3, 10
-# Frames that a series needs on either side of a tested frame: an outlier at the end must not condemn its neighbour.
+# Frames that a series needs on either side of a tested frame. Near an end, an outlier cannot be told from its
+# neighbour.
 MIN_NEIGHBOURS = 2
-# Axes along which brightness and position change smoothly.
+# Axes of the grid along which brightness and position change smoothly: exposure, and distance along the beam.
 SMOOTH_AXES = ("exposure", "z_m")
 # Alternating medians of conditions and sites converge within a few iterations.
 MEDIAN_POLISH_ITERATIONS = 5
 # A pixel is lit if it exceeds the noise of a reading by this factor, of which the median filter leaves 0.41, and this
 # level.
 LIT_OVER_NOISE, FAINTEST_DN = 3.0, 1.0
+# Fewest lit pixels of a spot whose moments are measured.
 MIN_LIT_PIXELS = 9
+# The border of a crop is 1 px and 1/`BORDER` of its side wide.
+BORDER = 16
 # Standard deviation of pixels over that of a sum per √pixel: the median filter correlates the noise of neighbours.
 CORRELATED_NOISE = 1.5
-# Column of the quantities ln light, ln width, x and y that holds the width.
+# Column of the width among the quantities of a frame: ln light, ln width, x and y.
 WIDTH = 1
 
 
@@ -72,9 +79,9 @@ class OutlierFrame(NamedTuple):
 class _Comparison:
     """Deviations of frames from their siblings in ln light, ln width, x and y."""
 
-    deviation: np.ndarray  # [frame, quantity], NaN if the frame was not compared
-    limit: np.ndarray  # [frame, quantity], largest deviation of a good frame; infinite if not tested
-    group: list[Hashable]  # label of the siblings of each frame
+    deviation: np.ndarray  # deviation from the siblings [frame, quantity]; NaN if the frame was not compared
+    limit: np.ndarray  # largest deviation of a good frame [frame, quantity]; infinite if not tested
+    group: list[Hashable]  # label of the group of siblings of each frame, which includes the frame
 
 
 def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None:
@@ -92,15 +99,15 @@ def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None
     SpotMoments or None
         None if fewer than `MIN_LIT_PIXELS` pixels exceed the noise.
     """
-    valid = np.isfinite(crop)
-    if not valid.any():
+    is_valid = np.isfinite(crop)
+    if not is_valid.any():
         return None
-    image = np.where(valid, crop, np.median(crop[valid])).astype(np.float32)
-    border = np.ones(image.shape, bool)
-    border[tuple(slice(1 + size // 16, -1 - size // 16) for size in image.shape)] = False
-    noise = float(np.median(np.abs(np.diff(image, axis=1)))) / 0.954
-    signal = median_filter_3x3(image) - np.median(image[border])
-    rows, columns = np.nonzero((signal > max(LIT_OVER_NOISE * noise, FAINTEST_DN)) & valid)
+    image = np.where(is_valid, crop, np.median(crop[is_valid])).astype(np.float32)
+    is_border = np.ones(image.shape, bool)
+    is_border[tuple(slice(1 + size // BORDER, -1 - size // BORDER) for size in image.shape)] = False
+    noise = float(np.median(np.abs(np.diff(image, axis=1)))) / MEDIAN_DIFFERENCE
+    signal = median_filter_3x3(image) - np.median(image[is_border])
+    rows, columns = np.nonzero((signal > max(LIT_OVER_NOISE * noise, FAINTEST_DN)) & is_valid)
     if len(rows) < MIN_LIT_PIXELS:
         return None
     light = float(signal[rows, columns].sum(dtype=float))
@@ -133,27 +140,28 @@ def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None])
     Returns
     -------
     outliers : list of OutlierFrame
-        In the order of `dataset.spots`.
+        In the order of `dataset.spots`. A group of siblings of which more than a third are outliers reports none.
     remark : str
-        Not empty if more than one spot in ten is an outlier. No frame is reported then, as the cause is the light.
+        Not empty if more than one spot in ten, and more than one, is an outlier. No frame is reported then: so many
+        mean that the light changes, not that single frames failed.
     """
     measured = [(spot, moment) for spot, moment in enumerate(moments) if moment is not None]
     if len(measured) < MIN_SIBLINGS:
         return [], ""
-    index_of_frame = {id(frame): index for index, frame in dataset.cells()}
-    index = [index_of_frame[id(dataset.spots[spot])] for spot, _ in measured]
+    # `dataset.cells` follows the order of `dataset.spots`.
+    indices = [index for (index, _), moment in zip(dataset.cells(), moments, strict=True) if moment is not None]
     values = np.array([(np.log(m.light), np.log(m.sigma), m.x, m.y) for _, m in measured])
     errors = np.array([(m.log_light_error, m.log_sigma_error, m.centre_error, m.centre_error) for _, m in measured])
-    comparison = _compare_repeats(values, errors, index, [axis.name for axis in dataset.axes].index("repeat"))
-    comparison = _compare_neighbours(values, errors, index, dataset, comparison)
-    widths = np.exp(values[:, WIDTH])
-    faults = [_classify(*frame) for frame in zip(comparison.deviation, comparison.limit, widths, strict=True)]
-    siblings = Counter(comparison.group)
-    faulty = Counter(group for group, fault in zip(comparison.group, faults, strict=True) if fault)
+    comparison = _compare_repeats(values, errors, indices, [axis.name for axis in dataset.axes].index("repeat"))
+    comparison = _compare_neighbours(values, errors, indices, dataset, comparison)
+    # Flag and reason of each measured frame, None for a good one.
+    faults = list(map(_classify, comparison.deviation, comparison.limit, np.exp(values[:, WIDTH])))
+    sizes = Counter(comparison.group)
+    fault_counts = Counter(group for group, fault in zip(comparison.group, faults, strict=True) if fault)
     outliers = [
         OutlierFrame(spot, *fault)
         for (spot, _), group, fault in zip(measured, comparison.group, faults, strict=True)
-        if fault and faulty[group] <= siblings[group] // SIBLINGS_PER_OUTLIER and dataset.spots[spot].keep is None
+        if fault and fault_counts[group] <= sizes[group] // SIBLINGS_PER_OUTLIER and dataset.spots[spot].keep is None
     ]
     if len(outliers) > max(len(measured) // SPOTS_PER_OUTLIER, 1):
         first = dataset.spots[outliers[0].spot].label
@@ -165,80 +173,99 @@ def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None])
 
 
 def _compare_repeats(
-    values: np.ndarray, errors: np.ndarray, index: list[tuple[int, ...]], repeat_axis: int
+    values: np.ndarray, errors: np.ndarray, indices: list[tuple[int, ...]], repeat_axis: int
 ) -> _Comparison:
-    """Compare each frame [frame, quantity] with the repeats of its condition, and with the other frames of its site."""
-    conditions: list[Hashable] = [cell[:repeat_axis] + cell[repeat_axis + 1 :] for cell in index]
+    """Compare each frame with the repeats of its condition, after the offset of its site is removed.
+
+    `values` and their standard errors `errors` are [frame, quantity], with the quantities ln light, ln width, x and y;
+    `indices` are those of the frames on the grid. Conditions with fewer than `MIN_SIBLINGS` frames are not tested.
+    """
+    conditions: list[Hashable] = [index[:repeat_axis] + index[repeat_axis + 1 :] for index in indices]
     # The second axis of the grid is the exposure.
-    sites = [(cell[0], *cell[2:]) for cell in index]
-    exposures = np.array([cell[1] for cell in index])
-    size = Counter(conditions)
-    tested = np.array([size[condition] >= MIN_SIBLINGS for condition in conditions])
+    sites = [(index[0], *index[2:]) for index in indices]
+    exposures = np.array([index[1] for index in indices])
+    condition_sizes = Counter(conditions)
+    is_tested = np.array([condition_sizes[condition] >= MIN_SIBLINGS for condition in conditions])
     deviation, limit = np.full(values.shape, np.nan), np.full(values.shape, np.inf)
-    condition_groups, site_groups = _group_frames(conditions, tested), _group_frames(sites, tested)
-    has_site = np.zeros(len(index), bool)
+    condition_groups, site_groups = _group_frames(conditions, is_tested), _group_frames(sites, is_tested)
+    has_site = np.zeros(len(indices), bool)
     has_site[[frame for group in site_groups for frame in group]] = True
     # A site with too few frames has no offset of its own: its frames are compared with the scatter of all sites.
     # Offsets of conditions and of sites have one mean in common, which counts once.
-    for groups, frames, common in (
-        (condition_groups, np.flatnonzero(tested & ~has_site), 0),
-        (condition_groups + site_groups, np.flatnonzero(tested & has_site), 1),
+    for groups, frames, common_offsets in (
+        (condition_groups, np.flatnonzero(is_tested & ~has_site), 0),
+        (condition_groups + site_groups, np.flatnonzero(is_tested & has_site), 1),
     ):
         if not len(frames):
             continue
-        residual = np.where(tested[:, None], values, np.nan)
+        # Median polish: the medians of all groups are subtracted in turn.
+        residuals = np.where(is_tested[:, None], values, np.nan)
         for _ in range(MEDIAN_POLISH_ITERATIONS):
             for group in groups:
-                residual[group] -= np.median(residual[group], axis=0)
-        freedom = int(tested.sum()) - len(groups) + common
-        scatter = _estimate_scatter(residual[tested])
+                residuals[group] -= np.median(residuals[group], axis=0)
+        degrees_of_freedom = int(is_tested.sum()) - len(groups) + common_offsets
+        scatter = _estimate_scatter(residuals[is_tested])
         for frame in frames:
             # Short exposures may scatter more than long ones.
-            same_exposure = tested & (exposures == exposures[frame])
-            same_exposure[frame] = False
-            widest = np.maximum(scatter, _estimate_scatter(residual[same_exposure]))
-            deviation[frame], limit[frame] = residual[frame], _limit_deviation(widest, errors[frame], freedom)
+            is_same_exposure = is_tested & (exposures == exposures[frame])
+            is_same_exposure[frame] = False
+            larger_scatter = np.maximum(scatter, _estimate_scatter(residuals[is_same_exposure]))
+            deviation[frame] = residuals[frame]
+            limit[frame] = _limit_deviation(larger_scatter, errors[frame], degrees_of_freedom)
     return _Comparison(deviation, limit, conditions)
 
 
-def _group_frames(labels: Sequence[Hashable], selected: np.ndarray) -> list[np.ndarray]:
-    """Return the indices of the selected frames of each label that has at least `MIN_SIBLINGS` of them."""
+def _group_frames(labels: Sequence[Hashable], is_selected: np.ndarray) -> list[np.ndarray]:
+    """Return the numbers of the selected frames of each label that has at least `MIN_SIBLINGS` of them.
+
+    `labels` and `is_selected` are [frame]; a frame's number is its place there.
+    """
     groups: dict[Hashable, list[int]] = {}
-    for frame in np.flatnonzero(selected).tolist():
+    for frame in np.flatnonzero(is_selected).tolist():
         groups.setdefault(labels[frame], []).append(frame)
     return [np.array(group) for group in groups.values() if len(group) >= MIN_SIBLINGS]
 
 
-def _estimate_scatter(residual: np.ndarray) -> np.ndarray:
-    """Return the robust standard deviation of each column of residuals [frame, quantity]."""
+def _estimate_scatter(residuals: np.ndarray) -> np.ndarray:
+    """Return the robust standard deviation [quantity] of residuals [frame, quantity]; 0 without residuals."""
     # A residual of exactly 0 belongs to the frame that was the median, and has no information about the scatter.
-    magnitudes = [np.sort(np.abs(column[column != 0])) for column in residual.T]
+    magnitudes = [np.sort(np.abs(column[column != 0])) for column in residuals.T]
+    # The lower of two middle values, which a single outlier among few frames raises less than their mean.
     return np.array([MAD_TO_SIGMA * m[(len(m) - 1) // 2] if len(m) else 0.0 for m in magnitudes])
 
 
-def _limit_deviation(scatter: np.ndarray, errors: np.ndarray, freedom: float) -> np.ndarray:
-    """Return the largest deviation of a good frame, for a scatter with that many degrees of freedom."""
-    if freedom <= 0:
+def _limit_deviation(scatter: np.ndarray, errors: np.ndarray, degrees_of_freedom: float) -> np.ndarray:
+    """Return the largest deviation of a good frame, in the shape of its standard errors; infinite without freedom.
+
+    `scatter` [quantity] is that of all frames, estimated with so many degrees of freedom.
+    """
+    if degrees_of_freedom <= 0:
         return np.full(errors.shape, np.inf)
-    distribution = stats.t(min(TAIL_FREEDOM, MAD_EFFICIENCY * freedom))
+    distribution = stats.t(min(TAIL_FREEDOM, MAD_EFFICIENCY * degrees_of_freedom))
     return distribution.isf(FALSE_ALARM_RATE / QUANTITIES / 2) * np.hypot(scatter, errors)
 
 
 def _compare_neighbours(
-    values: np.ndarray, errors: np.ndarray, index: list[tuple[int, ...]], dataset: Dataset, comparison: _Comparison
+    values: np.ndarray, errors: np.ndarray, indices: list[tuple[int, ...]], dataset: Dataset, comparison: _Comparison
 ) -> _Comparison:
-    """Compare frames without enough repeats with their neighbours in the longest series along a smooth axis."""
-    pending = np.isnan(comparison.deviation).all(axis=1)
+    """Compare frames without enough repeats with their neighbours in a series along the longest smooth axis.
+
+    `values` and `errors` are [frame, quantity], `indices` those of the frames on the grid, and `comparison` is the
+    result of `_compare_repeats`, which is completed. Outliers are removed one at a time, the worst first.
+    """
+    is_pending = np.isnan(comparison.deviation).all(axis=1)
     lengths = {axis.name: axis.size for axis in dataset.axes if axis.name in SMOOTH_AXES and axis.values is not None}
-    if not pending.any() or not lengths or max(lengths.values()) <= 2 * MIN_NEIGHBOURS:
+    if not is_pending.any() or not lengths or max(lengths.values()) <= 2 * MIN_NEIGHBOURS:
         return comparison
     name = max(lengths, key=lambda name: lengths[name])
     axis = [axis.name for axis in dataset.axes].index(name)
     coordinates = np.array(dataset.axes[axis].values, float)
+    # The width is linear in ln t.
     coordinates = np.log(coordinates) if name == "exposure" else coordinates
-    position = np.array([coordinates[cell[axis]] for cell in index])
-    labels: list[Hashable] = [(name, *cell[:axis], *cell[axis + 1 :]) for cell in index]
-    series = [frames[np.argsort(position[frames])] for frames in _group_frames(labels, pending)]
+    position = np.array([coordinates[index[axis]] for index in indices])
+    labels: list[Hashable] = [(name, *index[:axis], *index[axis + 1 :]) for index in indices]
+    # Numbers of the frames of each series, in the order of their positions.
+    series = [frames[np.argsort(position[frames])] for frames in _group_frames(labels, is_pending)]
     deviation, limit, group = comparison.deviation.copy(), comparison.limit.copy(), list(comparison.group)
     for frame in (frame for frames in series for frame in frames):
         group[frame] = labels[frame]
@@ -249,7 +276,7 @@ def _compare_neighbours(
         if not len(inner):
             break
         limit[inner] = _limit_deviation(_estimate_scatter(deviation[inner]), errors[inner], len(inner))
-        # The width is not linear in the position near a waist.
+        # The width is not linear in the position near a waist, so it is not tested.
         limit[inner, WIDTH] = np.inf
         worst = inner[int(np.argmax((np.abs(deviation[inner]) / limit[inner]).max(axis=1)))]
         if _classify(deviation[worst], limit[worst], float(np.exp(values[worst, WIDTH]))) is None:
@@ -262,7 +289,10 @@ def _compare_neighbours(
 
 
 def _subtract_interpolation(position: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values [frame, quantity] minus the linear interpolation between their neighbours; NaN at both ends."""
+    """Return values [frame, quantity] minus the linear interpolation between their neighbours; NaN at both ends.
+
+    `position` [frame] increases.
+    """
     deviation = np.full(values.shape, np.nan)
     fraction = ((position[1:-1] - position[:-2]) / (position[2:] - position[:-2]))[:, None]
     deviation[1:-1] = values[1:-1] - (1 - fraction) * values[:-2] - fraction * values[2:]
@@ -270,17 +300,21 @@ def _subtract_interpolation(position: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def _classify(deviation: np.ndarray, limit: np.ndarray, sigma: float) -> tuple[str, str] | None:
-    """Return flag and reason of a frame of width sigma [px]; None if it is no gross outlier.
+    """Return flag and reason of a frame; None if it is no gross outlier.
 
-    Light is tested first: a spot that lacks part of its light is displaced as well.
+    `deviation` and `limit` [quantity] are those of `_Comparison`, `sigma` is the width of its spot [px]. Light is
+    tested first: a spot that lacks part of its light is displaced as well.
     """
-    tested = np.where(np.isfinite(limit), deviation, 0.0)
-    light, width, distance = float(np.exp(tested[0])), float(np.exp(tested[1])), float(np.hypot(*tested[2:]))
+    # A quantity without a limit was not tested.
+    tested_deviation = np.where(np.isfinite(limit), deviation, 0.0)
+    log_light, log_width, *shift = tested_deviation
+    # Light and width relative to the siblings, and distance from them [px].
+    light, width, distance = float(np.exp(log_light)), float(np.exp(log_width)), float(np.hypot(*shift))
     is_gross_light, is_gross_width = not MIN_LIGHT <= light <= MAX_LIGHT, not MIN_WIDTH <= width <= MAX_WIDTH
     is_gross_shift = distance > MAX_SHIFT * sigma / width
     # The shift is significant if it is so along either axis.
-    significant = np.abs(tested) > limit
-    if not (np.array([is_gross_light, is_gross_width, is_gross_shift, is_gross_shift]) & significant).any():
+    is_significant = np.abs(tested_deviation) > limit
+    if not (np.array([is_gross_light, is_gross_width, is_gross_shift, is_gross_shift]) & is_significant).any():
         return None
     if is_gross_light:
         share = f"{100 * light:.2g} % of" if light < 1 else f"{light:.2g} times"

@@ -8,38 +8,43 @@ from skimage.measure import label
 
 from spotcheck.dataset.frames import average_blocks
 
-# Side of the blocks of the coarse search [px].
+# Side of the blocks [px] into which the frame is divided for the coarse search.
 SEARCH_PX = 16
 # Side of the first window in blocks: a block, its eight neighbours, and half a block on each side for the spot's flank.
 WINDOW_BLOCKS = 4
 # Smallest peak after the median filter, in noise of single pixels. The largest of 1e5 medians of nine reaches 1.9. The
 # noise is estimated at 0.6 of its value if a black level of 0 clips half of it.
 MIN_PEAK = 6.0
-# Smallest compact peak (see `_minimum_filters`), in noise of single pixels. Noise reaches this once in 1e4 frames of
+# Smallest compact peak (see `_filter_minima`), in noise of single pixels. Noise reaches this once in 1e4 frames of
 # 12 Mpx if a black level of 0 clips half of it and its estimate is 0.4 of its value, otherwise never.
 MIN_COMPACT_PEAK = 7.0
 # Smallest peak of integer readings [DN]: the noise is estimated as 0 if rounding hides it.
 MIN_INTEGER_PEAK_DN = 2.5
+# Median absolute difference of two pixels over the standard deviation of one, for normal noise.
+MEDIAN_DIFFERENCE = 0.954
 
 
 class Spot(NamedTuple):
     """Position of the spot on the frame."""
 
-    row: int  # [px]
-    column: int  # [px]
+    row: int  # row of its centre [px]
+    column: int  # column of its centre [px]
     exists: bool  # False if nothing exceeds the noise; the position is then the centre of the frame
 
 
 class _Peak(NamedTuple):
     """Spot found in a window."""
 
-    spot: Spot
-    height: float  # above the background of the frame [DN]
-    contrast: float  # above the median of the window [DN]
+    spot: Spot  # position of its centroid
+    height: float  # peak above the background of the frame [DN]
+    contrast: float  # peak above the median of the window [DN]
 
 
 def find_brightest_pixel(pixels: np.ndarray) -> Spot:
-    """Return the maximum of a frame; the left-most, then the top-most of several equal ones (Section 3.1.1)."""
+    """Return the brightest pixel of a frame [row, column] (Section 3.1.1); NaN pixels are left out.
+
+    It is the left-most of several equal ones, and the top-most of these.
+    """
     rows, columns = np.nonzero(pixels == np.nanmax(pixels))
     first = np.lexsort((rows, columns))[0]
     return Spot(int(rows[first]), int(columns[first]), True)
@@ -50,7 +55,7 @@ def find_light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
 
     The search starts at the block with the most light, after a 3 × 3 median filter that removes isolated pixels. The
     block may miss a spot that is much smaller, and the filter flattens a spot narrower than its nine pixels. If the
-    block shows no spot, the search starts at the highest compact peak (see `_minimum_filters`).
+    block shows no spot, the search starts at the highest compact peak (see `_filter_minima`).
 
     Parameters
     ----------
@@ -61,11 +66,11 @@ def find_light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
         Side of the window in which the centroid is computed [px].
     """
     pixels = _fill_gaps(pixels)
-    square, compact = _minimum_filters(pixels)
+    square, compact = _filter_minima(pixels)
     sample = pixels[::8, ::8]
     background = float(np.median(sample))
     # Differences of neighbours are free of structure, also if a black level of 0 clips half of the noise.
-    noise = float(np.median(np.abs(pixels[::4, :-1:8].astype(float) - pixels[::4, 1::8]))) / 0.954
+    noise = float(np.median(np.abs(pixels[::4, :-1:8].astype(float) - pixels[::4, 1::8]))) / MEDIAN_DIFFERENCE
     faintest = MIN_INTEGER_PEAK_DN if np.array_equal(sample, np.rint(sample)) else 0.0
     threshold = max(MIN_PEAK * noise, faintest)
     broad = _find_peak(pixels, _find_brightest_block(square), window_px, background, threshold)
@@ -80,7 +85,10 @@ def find_light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
 
 
 def _fill_gaps(pixels: np.ndarray) -> np.ndarray:
-    """Return the image with NaN replaced by the median of 5 × 5 pixels, or of the image if all of these are NaN."""
+    """Return an image with NaN replaced by the median of 5 × 5 pixels, or of the image if all of these are NaN.
+
+    An image of integers, or without NaN, is returned as it is.
+    """
     if pixels.dtype.kind != "f" or not (gaps := np.isnan(pixels)).any():
         return pixels
     neighbours = np.lib.stride_tricks.sliding_window_view(np.pad(pixels, 2, constant_values=np.nan), (5, 5))[gaps]
@@ -92,16 +100,18 @@ def _fill_gaps(pixels: np.ndarray) -> np.ndarray:
     return filled
 
 
-def _minimum_filters(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two minimum filters that remove isolated pixels, pairs, rows and columns [rows − 1, columns − 1].
+def _filter_minima(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return an image [rows, columns] in DN, without NaN, after two minimum filters.
+
+    Single bright pixels, pairs, rows and columns are removed.
 
     Returns
     -------
-    square : array
+    square : array [rows − 1, columns − 1]
         Minimum of each square of 2 × 2 pixels, at its first pixel.
-    compact : array
-        The larger of `square` and the minimum of a cross of five pixels whose centre is that pixel. At least a fifth
-        of the peak remains for a spot of σ = 0.7 px.
+    compact : array [rows − 1, columns − 1]
+        At each pixel, the larger of `square` and of the minimum of the cross of five pixels around it; `square` alone
+        in the first row and column. At least a fifth of the peak remains for a spot of σ = 0.7 px.
     """
     down = np.minimum(pixels[:-1, :], pixels[1:, :])
     square = np.minimum(down[:, :-1], down[:, 1:])
@@ -114,22 +124,28 @@ def _minimum_filters(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _find_brightest_block(square: np.ndarray) -> tuple[int, int]:
-    """Return row and column of the centre of the block that has the most light together with its neighbours."""
+    """Return row and column [px] of the centre of the block that has the most light together with its neighbours.
+
+    `square` is that of `_filter_minima`. The centre of a block at the end may lie beyond it.
+    """
     side = min(SEARCH_PX, *square.shape)
     padding = [(0, -length % side) for length in square.shape]
-    sums = average_blocks(np.pad(square, padding, mode="edge"), side)
-    sums = ndimage.uniform_filter(sums, 3, mode="nearest") if min(sums.shape) > 3 else sums
-    block_row, block_column = np.unravel_index(np.argmax(sums), sums.shape)
+    means = average_blocks(np.pad(square, padding, mode="edge"), side)
+    # With three blocks or fewer along a side, a block and its neighbours are most of the image.
+    means = ndimage.uniform_filter(means, 3, mode="nearest") if min(means.shape) > 3 else means
+    block_row, block_column = np.unravel_index(np.argmax(means), means.shape)
     return int(block_row) * side + side // 2, int(block_column) * side + side // 2
 
 
 def _find_peak(
     pixels: np.ndarray, start: tuple[int, int], window_px: int, background: float, threshold: float
 ) -> _Peak | None:
-    """Return the centroid of the light above half of the peak near `start` (row, column); None below `threshold` [DN].
+    """Return the centroid of the light above half of the peak near `start` (row, column).
 
-    The first window covers the start block and its neighbours, which contributed to its light. The second one is
-    centred on the first centroid, as the first may cut a spot that is wider than a block.
+    It is None if the peak is not higher than `threshold` above `background`, both in DN. Two square windows of the
+    image `pixels` [row, column] are searched in turn, the last with the side `window_px` [px]. The first window covers
+    the start block and its neighbours, which contributed to its light. The second one is centred on the first centroid,
+    as the first may cut a spot that is wider than a block.
     """
     row, column = start
     for side in (max(window_px, WINDOW_BLOCKS * SEARCH_PX), window_px):
@@ -138,6 +154,7 @@ def _find_peak(
         height = float(signal.max())
         if height <= threshold:
             return None
+        # The connected region with the most light.
         regions = label(signal > height / 2, connectivity=2)
         light = ndimage.sum_labels(signal, regions, np.arange(1, regions.max() + 1))
         rows, columns = np.nonzero(regions == 1 + int(np.argmax(light)))
@@ -148,16 +165,17 @@ def _find_peak(
 
 
 def median_filter_3x3(image: np.ndarray) -> np.ndarray:
-    """Return the 3 × 3 median of an image, with repeated border pixels.
+    """Return the 3 × 3 median of an image [row, column], in its shape; pixels of the border are repeated outwards.
 
     The result equals that of `scipy.ndimage.median_filter`, whose sorting took most of the time of cropping. The median
     of nine is the median of the largest minimum, the median median and the smallest maximum of three sorted rows.
     """
     padded = np.pad(image, 1, mode="edge")
     height, width = image.shape
+    # Each row of the 3 × 3 pixels, sorted: three images per row.
     rows = [_sort_three(*(padded[i : i + height, j : j + width] for j in range(3))) for i in range(3)]
-    low, middle, high = zip(*rows, strict=True)
-    return _sort_three(np.maximum.reduce(low), _sort_three(*middle)[1], np.minimum.reduce(high))[1]
+    minima, medians, maxima = zip(*rows, strict=True)
+    return _sort_three(np.maximum.reduce(minima), _sort_three(*medians)[1], np.minimum.reduce(maxima))[1]
 
 
 def _sort_three(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

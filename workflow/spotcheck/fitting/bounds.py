@@ -1,4 +1,9 @@
-"""The bounds stage: Cramér–Rao bounds of {µ_p,max, σ_g} over exposure and over photons (Section 4.4, Fig. 13)."""
+"""The bounds stage: Cramér–Rao bounds of {µ_p,max, σ_g} over exposure and over photons (Section 4.4, Fig. 13).
+
+µ_p,max is the number of photons on the brightest pixel of a spot, σ_g [px] the width of its Gaussian. The width law
+(`WidthLaw`) gives σ_g and the peak of a spot over the exposure time; the baseline (`Baseline`) is the model of the
+light that the instrument file declares.
+"""
 
 import numpy as np
 import xarray as xr
@@ -14,38 +19,56 @@ from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import mean_signal
 
+# Densities of a reading under which bounds are computed; the dimension `law` of bounds.nc.
 DENSITIES = {
     "poisson_gauss": "electrons with read noise (Eq. 30)",
     "poisson": "electrons alone (Eq. 31)",
     "dn": "the paper's: a mean in DN put into the Poisson law of Eq. 31",
 }
+# Parameters of a bound: name in the variables of bounds.nc, units of its variance, symbol.
+BOUND_PARAMETERS = (("peak", "1", "mu_p,max"), ("sigma", "pixel2", "sigma_g"))
 # Points of a curve over exposure time or photons.
 POINTS = 41
 # Factor by which curves extend below the shortest and above the longest exposure, and decades of the photon axis.
 EXPOSURE_MARGIN, PHOTON_DECADES = 4.0, 3.0
 # Curves leave exposures out at which σ_g is smaller [px]: pixels no longer sample such a spot.
 NARROWEST_PX = 1.0
+# Least mean of a pixel [e-]. Without dark current, pixels far from the spot expect no electron, and 1/ν is infinite.
+LEAST_MEAN_E = 1e-12
 
 
 def compute_peak_bounds(
     peak_photons: float, sigma_px: float, exposure_s: float, sensor: SensorModel, side: int
 ) -> np.ndarray:
-    """Return bounds [density, (Var µ_p,max, Var σ_g)] in photons² and px² for a centred Gaussian.
+    """Return bounds [density, (Var µ_p,max, Var σ_g)] in photons² and px² for one image of a centred Gaussian.
 
-    The image has side × side pixels; the densities are those of `DENSITIES`.
+    Parameters
+    ----------
+    peak_photons : photons on the brightest pixel, µ_p,max.
+    sigma_px : width σ_g of the Gaussian [px].
+    exposure_s : exposure time [s], for dark current alone.
+    sensor : gain, read noise, dark current and quantum efficiency.
+    side : rows and columns of the image [px].
+
+    Returns
+    -------
+    np.ndarray
+        One row for each of `DENSITIES`.
     """
     pixel = np.arange(side, dtype=float) - side // 2
     dark_e = sensor.dark_current_e_per_s * exposure_s
 
     def mean_e(peak, sigma):
+        """Return the mean electrons [row, column] for a peak [photons] and a width [px]."""
         photons = spot.circular_gaussian(pixel[None, :], pixel[:, None], peak, 0.0, 0.0, sigma)
         return mean_signal(photons, dark_e, 1.0, sensor.quantum_efficiency)
 
-    # Without dark current far pixels expect no electron at all, and 1/ν is infinite there.
+    # Information of a pixel on its mean electrons [1/e-²], in the order of `DENSITIES`. A mean in DN that is taken for
+    # a Poisson mean has K times the information.
     pixel_informations = (
-        lambda mean: fisher.read_noise_information(np.maximum(mean, 1e-12), sensor.read_noise_e),
-        lambda mean: fisher.poisson_information(np.maximum(mean, 1e-12)),
-        lambda mean: sensor.gain_dn_per_e * fisher.poisson_information(np.maximum(mean, 1e-12)),
+        lambda mean: fisher.read_noise_information(np.maximum(mean, LEAST_MEAN_E), sensor.read_noise_e),
+        lambda mean: fisher.poisson_information(np.maximum(mean, LEAST_MEAN_E)),
+        lambda mean: sensor.gain_dn_per_e * fisher.poisson_information(np.maximum(mean, LEAST_MEAN_E)),
     )
     matrices = (
         fisher.information_of_mean(mean_e, (peak_photons, sigma_px), information) for information in pixel_informations
@@ -56,15 +79,20 @@ def compute_peak_bounds(
 def compute_bounds(
     calibration: xr.Dataset, instrument: Instrument, exposures: np.ndarray, sensor: SensorModel | None, side: int
 ) -> xr.Dataset:
-    """Return bounds.nc; only the attribute `skipped` with the reason without a calibration or a sensor.
+    """Compute bounds.nc: bounds over the exposure time, and over the photons at the median exposure.
 
     Parameters
     ----------
     calibration : calibration.nc of the dataset.
     instrument : optics, laser and photon budget.
-    exposures : exposure times of the dataset [s].
+    exposures : exposure times of the dataset [exposure] in s.
     sensor : model of the sensor; None if gain or read noise is unknown.
     side : rows and columns of the image [px].
+
+    Returns
+    -------
+    xr.Dataset
+        Content of bounds.nc. Without a width law or a sensor it has only the attribute `skipped` with the reason.
     """
     ds = xr.Dataset(attrs={name: calibration.attrs[name] for name in ("title", "dataset")})
     if "skipped" in calibration.attrs:
@@ -75,38 +103,44 @@ def compute_bounds(
     if law is None:
         return ds.assign_attrs(skipped="bounds need a peak that is not at full scale")
     baseline = of_instrument(instrument, exposures)
-    fine, middle = sample_exposures(baseline, law, exposures), float(np.median(exposures))
-    photons_per_dn = sensor.gain_dn_per_e * sensor.quantum_efficiency
+    curve_exposures, median_exposure = sample_exposures(baseline, law, exposures), float(np.median(exposures))
+    dn_per_photon = sensor.gain_dn_per_e * sensor.quantum_efficiency
 
     def spot_at(exposure_s: float) -> tuple[float, float]:
-        """Photons on the brightest pixel, and σ_g [px]."""
+        """Return the photons on the brightest pixel, and σ_g [px]."""
         peak, sigma = law.spot_at(baseline, exposure_s)
-        return float(peak / photons_per_dn), float(sigma)
+        return float(peak / dn_per_photon), float(sigma)
 
-    spots = [spot_at(t) for t in fine]
-    middle_photons, middle_sigma = spot_at(middle)
-    photons = middle_photons * np.logspace(-PHOTON_DECADES / 2, PHOTON_DECADES / 2, POINTS)
-    densities = np.array(list(DENSITIES), dtype=object)
-    add_variable(ds, "law", "law", densities, "1", "density that the information is of")
-    add_variable(ds, "fine_exposure", "fine_exposure", fine, "s", "exposure time")
+    spots = [spot_at(t) for t in curve_exposures]
+    median_photons, median_sigma = spot_at(median_exposure)
+    photons = median_photons * np.logspace(-PHOTON_DECADES / 2, PHOTON_DECADES / 2, POINTS)
+    add_variable(ds, "law", "law", np.array([*DENSITIES], dtype=object), "1", "density that the information is of")
+    add_variable(ds, "fine_exposure", "fine_exposure", curve_exposures, "s", "exposure time")
     add_variable(ds, "photons", "photons", photons, "1", "photons on the brightest pixel")
-    cases = [(*values, float(t)) for values, t in zip(spots, fine, strict=True)]
-    cases += [(float(n), middle_sigma, middle) for n in photons]
+    # Photons, σ_g [px] and exposure time [s] of the points of both curves.
+    points = [(*values, float(t)) for values, t in zip(spots, curve_exposures, strict=True)]
+    points += [(float(n), median_sigma, median_exposure) for n in photons]
     variances = np.array(
-        [compute_peak_bounds(n, sigma, t, sensor, side) for n, sigma, t in progress.track(cases, "computing bounds")]
+        [compute_peak_bounds(n, sigma, t, sensor, side) for n, sigma, t in progress.track(points, "computing bounds")]
     )
-    curves = (("exposure", "fine_exposure", variances[: len(fine)]), ("photons", "photons", variances[len(fine) :]))
+    over_exposure, over_photons = np.split(variances, [len(curve_exposures)])
+    curves = (("exposure", "fine_exposure", over_exposure), ("photons", "photons", over_photons))
     for suffix, dim, values in curves:
-        for k, (parameter, units, symbol) in enumerate((("peak", "1", "mu_p,max"), ("sigma", "pixel2", "sigma_g"))):
+        for k, (parameter, units, symbol) in enumerate(BOUND_PARAMETERS):
             name = f"var_{parameter}_over_{suffix}"
             add_variable(ds, name, (dim, "law"), values[..., k], units, f"bound on the variance of {symbol}")
-    peaks = np.array([n for n, _ in spots])
-    add_variable(ds, "peak_photons", "fine_exposure", peaks, "1", "photons on the brightest pixel at each exposure")
+    long_name = "photons on the brightest pixel at each exposure"
+    add_variable(ds, "peak_photons", "fine_exposure", np.array([n for n, _ in spots]), "1", long_name)
     add_variable(ds, "pixel_pitch", (), instrument.sensor.pixel_pitch_m or np.nan, "m", "pixel pitch")
     return ds.assign_attrs({f"law_{name}": text for name, text in DENSITIES.items()})
 
 
 def sample_exposures(baseline: Baseline, law: WidthLaw, exposures: np.ndarray) -> np.ndarray:
-    """Return exposure times [s] for curves, evenly spaced in ln t around those of the dataset."""
-    fine = np.geomspace(exposures.min() / EXPOSURE_MARGIN, exposures.max() * EXPOSURE_MARGIN, POINTS)
-    return fine[law.spot_at(baseline, fine)[1] > NARROWEST_PX]
+    """Return the exposure times [point] in s at which curves over exposure are computed.
+
+    `POINTS` times are evenly spaced in ln t, from the shortest of `exposures` [s] divided by `EXPOSURE_MARGIN` to the
+    longest times it. Times at which σ_g is `NARROWEST_PX` or less are left out.
+    """
+    times = np.geomspace(exposures.min() / EXPOSURE_MARGIN, exposures.max() * EXPOSURE_MARGIN, POINTS)
+    _, sigma = law.spot_at(baseline, times)
+    return times[sigma > NARROWEST_PX]

@@ -1,4 +1,10 @@
-"""The calibrate stage: p1, p2 and the peak by three estimators, and the deviation of each from its own input."""
+"""The calibrate stage: p1, p2 and the peak by three estimators, and the bias of each in a simulation.
+
+p1 and p2 [px] are slope and intercept of the width law: σ_g = M σ_la/s_px + p1 ln(t / 1 s) + p2 (`WidthLaw`), where the
+first term is the laser's own width on the sensor. The baseline (`Baseline`) is the model of the light that the
+instrument file declares. A site is a combination of the grid's other conditions, such as angle and repeat; its frames
+differ in exposure time alone.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -16,28 +22,32 @@ from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, of_instrument
 from spotcheck.sensor import SensorModel
 
+# Estimators of p1 and p2: name in calibration.nc, and description.
 ESTIMATORS = {
     "regression": "straight line over ln t of the fitted width less the laser's own (Eqs. 7 and 8)",
     "regression_of_width": "straight line over ln t of the fitted width, nothing subtracted (Eq. 8)",
     "likelihood": "maximum likelihood of the baseline model on all frames",
 }
+# The estimators by regression of fitted widths, which give values of single sites.
+REGRESSIONS = ("regression", "regression_of_width")
 # The simulation uses the estimator of the paper.
 SIMULATION_ESTIMATOR = "regression"
 
 
 def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, sensor: SensorModel | None) -> xr.Dataset:
-    """Return calibration.nc: p1, p2 and the peak by each of `ESTIMATORS`, with averages over sites and deviations.
+    """Compute calibration.nc: p1, p2 and the peak by each of `ESTIMATORS`, with averages over sites and biases.
 
     Parameters
     ----------
     crops, fits : crops.nc and fits.nc of the dataset.
     instrument : optics, laser and photon budget.
-    sensor : model of the sensor; without it there is no likelihood.
+    sensor : model of the sensor; if None, there is no likelihood.
 
     Returns
     -------
     xr.Dataset
-        Results; only the attribute `skipped` with the reason if the design does not support a law over exposure time.
+        Content of calibration.nc; NaN where an estimator has no result. If the frames do not support a law over
+        exposure time, it has only the attribute `skipped` with the reason.
     """
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     if "exposure" not in fits.coords:
@@ -50,8 +60,7 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     if (np.isfinite(widths.values).sum(axis=-1) < 2).all():
         return ds.assign_attrs(skipped="p1 and p2 need usable spots of one site at two exposures or more")
 
-    names = np.array(list(ESTIMATORS), dtype=object)
-    add_variable(ds, "estimator", "estimator", names, "1", "how p1 and p2 were found")
+    add_variable(ds, "estimator", "estimator", np.array([*ESTIMATORS], dtype=object), "1", "how p1 and p2 were found")
     ds = ds.assign_coords({d: fits[d] for d in site_dims if d in fits.coords})
     without_laser = replace(baseline, laser_px=0.0)
     models = dict(zip(ESTIMATORS, (baseline, without_laser, baseline), strict=True))
@@ -60,23 +69,24 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
 
     side, maxima = crops.sizes["x"], _average_maxima(crops)
     laws = {}
-    for estimator in ("regression", "regression_of_width"):
+    for estimator in REGRESSIONS:
         p1, p2 = (float(ds[name].sel(estimator=estimator)) for name in ("p1_mean", "p2_mean"))
         peak = find_peak(models[estimator], p1, p2, exposures, maxima, sensor, side)
         laws[estimator] = WidthLaw(p1, p2, peak)
-    start, converged = laws[SIMULATION_ESTIMATOR], False
+    start, has_converged = laws[SIMULATION_ESTIMATOR], False
     if sensor is not None and np.isfinite(start.peak):
         joint = _fit_all_frames(crops, fits, baseline, sensor, start, site_dims)
-        converged = joint.has_converged
-        if converged:
+        has_converged = joint.has_converged
+        if has_converged:
             laws["likelihood"] = WidthLaw(*joint.value)
+            # p1 and p2 are the first two values of the joint fit.
             for k, name in enumerate(("p1", "p2")):
                 ds[f"{name}_mean"].loc[{"estimator": "likelihood"}] = joint.value[k]
                 ds[f"{name}_stderr"].loc[{"estimator": "likelihood"}] = joint.stderr[k]
     peaks = [laws[name].peak if name in laws else np.nan for name in ESTIMATORS]
     add_variable(ds, "peak", "estimator", peaks, "DN", "peak of the Gaussian at the longest exposure")
-    _add_deviations(ds, models, laws, exposures, side)
-    add_variable(ds, "likelihood_converged", (), int(converged), "1", "1 if the joint fit converged")
+    _add_biases(ds, models, laws, exposures, side)
+    add_variable(ds, "likelihood_converged", (), int(has_converged), "1", "1 if the joint fit converged")
     add_variable(
         ds, "laser_width", (), baseline.laser_px, "pixel", "M sigma_la/s_px, the laser's own width on the sensor"
     )
@@ -86,38 +96,44 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
 
 
 def read_width_law(calibration: xr.Dataset) -> WidthLaw | None:
-    """Return the law of calibration.nc that the simulation uses; None if no p1, p2 and peak were found."""
+    """Return the width law of calibration.nc that the simulation uses; None if no p1, p2 and peak were found."""
     if "skipped" in calibration.attrs:
         return None
-    row = calibration.sel(estimator=SIMULATION_ESTIMATOR)
-    law = WidthLaw(*(float(row[name]) for name in ("p1_mean", "p2_mean", "peak")))
+    results = calibration.sel(estimator=SIMULATION_ESTIMATOR)
+    law = WidthLaw(*(float(results[name]) for name in ("p1_mean", "p2_mean", "peak")))
     return law if np.isfinite(law.peak) else None
 
 
 def _select_widths(fits: xr.Dataset) -> tuple[xr.DataArray, tuple[str, ...]]:
-    """Return σ̄ [site dims, exposure] of usable least-squares fits in crops centred on the light, and the site dims."""
-    rows = fits.sel(centring="light", fit="least_squares")
-    width = rows["sigma_mean"].where((rows["status"] & store.UNTRUSTED) == 0)
-    site_dims = tuple(str(d) for d in width.dims if d != "exposure")
-    return width.transpose(*site_dims, "exposure"), site_dims
+    """Return the direction-averaged widths [*site_dims, exposure] in px, and `site_dims`, the dimensions of sites.
+
+    The widths are those of least-squares fits in crops centred on the light; NaN without a usable fit.
+    """
+    spots = fits.sel(centring="light", fit="least_squares")
+    widths = spots["sigma_mean"].where((spots["status"] & store.UNTRUSTED) == 0)
+    site_dims = tuple(str(dim) for dim in widths.dims if dim != "exposure")
+    return widths.transpose(*site_dims, "exposure"), site_dims
 
 
 def _add_site_values(
     ds: xr.Dataset, widths: np.ndarray, exposures: np.ndarray, models: dict[str, Baseline], site_dims: tuple[str, ...]
 ) -> None:
-    """Add p1 and p2 [estimator, site dims...] of the two regressions; the likelihood has none of single sites."""
-    regressions = [
-        regress_widths(widths, exposures, models[name].laser_px) for name in ("regression", "regression_of_width")
-    ]
-    for k, name in enumerate(("p1", "p2")):
-        values = [line[k] for line in regressions]
-        values.append(np.full_like(values[0], np.nan))
-        add_variable(ds, name, ("estimator", *site_dims), np.stack(values), "pixel", f"{name} of each site")
+    """Add p1 and p2 [estimator, *site_dims] in px by regression of widths [*site_dims, exposure] in px.
+
+    The likelihood gives NaN: its p1 and p2 are common to all sites. `models` holds the baseline of each estimator.
+    """
+    regressions = [regress_widths(widths, exposures, models[estimator].laser_px) for estimator in REGRESSIONS]
+    for name, values in zip(("p1", "p2"), zip(*regressions, strict=True), strict=True):
+        values_by_estimator = np.stack([*values, np.full_like(values[0], np.nan)])
+        add_variable(ds, name, ("estimator", *site_dims), values_by_estimator, "pixel", f"{name} of each site")
 
 
 def _add_averages(ds: xr.Dataset, site_dims: tuple[str, ...]) -> None:
-    """Add means and standard deviations (n − 1) over repeats, over angles (of their means), and over all sites."""
-    repeat_dims = [d for d in site_dims if d != "angle"]
+    """Add means and standard deviations (n − 1) of p1 and p2: over repeats, over the means of angles, over all sites.
+
+    Repeats are all dimensions of a site except the angle. NaN sites are left out.
+    """
+    repeat_dims = [dim for dim in site_dims if dim != "angle"]
     for name in ("p1", "p2"):
         values = ds[name]
         mean, by_angle, sd_all = values.mean(site_dims), values.mean(repeat_dims), values.std(site_dims, ddof=1)
@@ -135,56 +151,58 @@ def _add_averages(ds: xr.Dataset, site_dims: tuple[str, ...]) -> None:
 
 
 def _average_maxima(crops: xr.Dataset) -> np.ndarray:
-    """Return the mean of the crops' maxima at each exposure [DN], NaN if no crop is usable."""
-    dims = store.grid_dims(crops)
-    centred = crops.sel(centring="maximum")
+    """Return the mean of the crops' maxima [exposure] in DN; NaN at an exposure without a usable crop."""
+    maximum_crops = crops.sel(centring="maximum")
     maxima: list[list[float]] = [[] for _ in range(crops.sizes["exposure"])]
-    for index in iterate_cells(crops, dims):
-        if is_usable(centred["status"].isel(index)):
-            maxima[index["exposure"]].append(float(np.nanmax(centred["image"].isel(index).values)))
+    for index in iterate_cells(crops, store.grid_dims(crops)):
+        if is_usable(maximum_crops["status"].isel(index)):
+            maxima[index["exposure"]].append(float(np.nanmax(maximum_crops["image"].isel(index).values)))
     return np.array([np.mean(values) if values else np.nan for values in maxima])
 
 
 def _fit_all_frames(
-    crops: xr.Dataset,
-    fits: xr.Dataset,
-    baseline: Baseline,
-    sensor: SensorModel,
-    start: WidthLaw,
-    site_dims: tuple[str, ...],
+    crops: xr.Dataset, fits: xr.Dataset, model: Baseline, sensor: SensorModel, law: WidthLaw, site_dims: tuple[str, ...]
 ) -> JointFit:
-    """Fit the baseline to all usable frames at once, with one centre for each site, starting at the fitted centres."""
+    """Fit the baseline to all frames with a fit at once, with one centre for each site, starting at `law`.
+
+    The centre of a site starts at that of its longest exposure with a fit. Sites without a fit are left out.
+    """
     light_crops, light_fits = crops.sel(centring="light"), select_preferred_fits(fits)
     frames: list[SiteFrame] = []
     centres: list[tuple[float, float]] = []
     for site in iterate_cells(crops, site_dims):
+        # Centres on the sensor [exposure] in px, NaN without a fit; exposures increase.
         x, y = (light_fits[name].isel(site).values for name in ("x_centre", "y_centre"))
-        exposure_indices = [k for k in range(crops.sizes["exposure"]) if np.isfinite(x[k])]
-        for k in exposure_indices:
+        fitted_exposures = np.flatnonzero(np.isfinite(x)).tolist()
+        for k in fitted_exposures:
             index = site | {"exposure": k}
             left, top = (int(light_crops[name].isel(index)) for name in ("left", "top"))
             exposure_s, read_pixels = float(crops["exposure"][k]), partial(_read_pixels, light_crops, index)
             frames.append(SiteFrame(len(centres), exposure_s, left, top, read_pixels))
-        if exposure_indices:
-            centres.append((x[exposure_indices[-1]], y[exposure_indices[-1]]))
-    return fit_baseline(frames, baseline, sensor, np.array(start), np.array(centres))
+        if fitted_exposures:
+            centres.append((x[fitted_exposures[-1]], y[fitted_exposures[-1]]))
+    return fit_baseline(frames, model, sensor, np.array(law), np.array(centres))
 
 
 def _read_pixels(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray:
+    """Return the crop [row, column] in DN at one index of the grid."""
     return crops["image"].isel(index).values
 
 
-def _add_deviations(
+def _add_biases(
     ds: xr.Dataset, models: dict[str, Baseline], laws: dict[str, WidthLaw], exposures: np.ndarray, side: int
 ) -> None:
-    """Add output less input of p1 and p2 when the model is simulated, fitted and regressed, for each estimator."""
-    deviations = np.full((len(ESTIMATORS), 2), np.nan)
+    """Add the bias of p1 and p2 [px] of each estimator: the values from fits of simulated frames, less those simulated.
+
+    `models` and `laws` hold the baseline and the width law of each estimator. The bias is NaN without a law.
+    """
+    biases = np.full((len(ESTIMATORS), 2), np.nan)
     for k, estimator in enumerate(ESTIMATORS):
         law, model = laws.get(estimator), models[estimator]
         if law is not None and np.isfinite(law.peak):
             widths = fit_simulated_widths(model, law, exposures, side)
-            p1, p2 = regress_widths(widths[None, :], exposures, model.laser_px)
-            deviations[k] = [p1[0] - law.p1, p2[0] - law.p2]
-    for k, name in enumerate(("p1", "p2")):
+            p1, p2 = regress_widths(widths, exposures, model.laser_px)
+            biases[k] = p1 - law.p1, p2 - law.p2
+    for name, values in zip(("p1", "p2"), biases.T, strict=True):
         long_name = f"{name} after simulate and fit, less {name} put in"
-        add_variable(ds, f"{name}_miss", "estimator", deviations[:, k], "pixel", long_name)
+        add_variable(ds, f"{name}_miss", "estimator", values, "pixel", long_name)

@@ -1,4 +1,8 @@
-"""The fit stage: fits of every crop of a dataset by both estimators, and the choice between them."""
+"""The fit stage: fits of every crop of a dataset by both estimators, and the choice between them.
+
+The crops lie on a grid of conditions such as angle, exposure and repeat. Each frame has two crops, one for each
+centring: centred on the light, and on the brightest pixel.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -18,11 +22,12 @@ from spotcheck.io import progress, store
 from spotcheck.io.number_text import two_digits
 from spotcheck.sensor import SensorModel
 
+# Estimators by their name in fits.nc, with a description.
 FITS = {
     "likelihood": "maximum likelihood of the instrument's spot, Gaussian or top hat, under the sensor's noise",
     "least_squares": "unweighted least squares of a Gaussian, the paper's estimator",
 }
-# Places of both fits, and of the coordinates of the centre among `PARAMETERS`.
+# Indices of both estimators in `FITS`, and of the coordinates of the centre in `PARAMETERS`.
 LIKELIHOOD, LEAST_SQUARES = range(len(FITS))
 X_CENTRE, Y_CENTRE = (NAMES.index(name) for name in ("x_centre", "y_centre"))
 # Outlying pixels are searched if χ² exceeds 1 by so many standard deviations; noise alone does so once in 1e9. They are
@@ -40,7 +45,7 @@ class StoredFit(NamedTuple):
     value: np.ndarray  # values [8] in the order of `PARAMETERS`
     stderr: np.ndarray  # their standard errors [8]
     chi2_reduced: float  # χ² per degree of freedom
-    status: int  # flags
+    status: int  # flags as bits (`store.STATUS`)
 
 
 def fit_crops(
@@ -50,24 +55,26 @@ def fit_crops(
     integrated: bool = False,
     maps: SensorMaps | None = None,
 ) -> xr.Dataset:
-    """Return fits.nc: values, standard errors, χ² and status of both fits over the grid and both centrings.
+    """Fit every usable crop by both estimators, and return fits.nc.
 
     Parameters
     ----------
     crops : crops.nc of the dataset.
-    sensor : model of the sensor; without it there is no likelihood. The attribute `preferred` names the fit to use.
+    sensor : model of the sensor; if None, only least squares are fitted.
     top_hat : whether the light has a plateau.
     integrated : whether a pixel reads the mean of the light over it, not the light at its centre.
-    maps : maps of the sensor's pixels for the likelihood; `chi2_without_maps` and variables such as `amplitude_moved`
-        then hold their effect.
+    maps : offset and gain of the sensor's pixels for the likelihood; None if all pixels count as alike. With maps,
+        `chi2_without_maps` and variables such as `amplitude_moved` give their effect.
 
     Returns
     -------
     xr.Dataset
-        Centres are in pixels of the sensor.
+        Content of fits.nc: values, standard errors, χ² and status over the grid, both centrings and both fits; NaN
+        without a fit. Centres are in pixels of the sensor. The attribute `preferred` names the fit to use.
     """
-    dims = (*store.grid_dims(crops), "centring", "fit")
-    shape = (*(crops.sizes[d] for d in dims[:-1]), len(FITS))
+    crop_dims = (*store.grid_dims(crops), "centring")
+    dims = (*crop_dims, "fit")
+    shape = (*(crops.sizes[dim] for dim in crop_dims), len(FITS))
     value, stderr = (np.full((*shape, len(PARAMETERS)), np.nan) for _ in range(2))
     chi2, left_out = np.full(shape, np.nan), np.full(shape, "", dtype=object)
     status = np.repeat(crops["status"].values[..., None], len(FITS), axis=-1)
@@ -76,8 +83,8 @@ def fit_crops(
     left, top = crops["left"].values, crops["top"].values
     by_likelihood = partial(fit_spots, sensor=sensor, top_hat=top_hat, integrated=integrated)
     by_least_squares = partial(fit_spots, sensor=sensor, weighting="equal", integrated=integrated)
-    comparison = None if maps is None or sensor is None else MapComparison(maps, crops, dims[:-1])
-    for index in progress.track(list(iterate_cells(crops, dims[:-1])), "fitting spots"):
+    comparison = None if maps is None or sensor is None else MapComparison(maps, crops, crop_dims)
+    for index in progress.track(list(iterate_cells(crops, crop_dims)), "fitting spots"):
         cell = tuple(index.values())
         if not is_usable(crops["status"].values[cell]):
             continue
@@ -90,14 +97,14 @@ def fit_crops(
             inliers = np.where(outliers.mask, np.nan, image) if outliers is not None else image
             comparison.add(cell, fits[LIKELIHOOD], by_likelihood(inliers))
         for k, fit in fits.items():
-            at = (*cell, k)
-            value[at], stderr[at], chi2[at] = fit.value, fit.stderr, fit.chi2_reduced
-            value[(*at, X_CENTRE)] += left[cell]
-            value[(*at, Y_CENTRE)] += top[cell]
-            status[at] |= int(fit.flags) | flag_doubtful_errors(fit)
+            fit_index = (*cell, k)
+            value[fit_index], stderr[fit_index], chi2[fit_index] = fit.value, fit.stderr, fit.chi2_reduced
+            value[(*fit_index, X_CENTRE)] += left[cell]
+            value[(*fit_index, Y_CENTRE)] += top[cell]
+            status[fit_index] |= int(fit.flags) | flag_doubtful_errors(fit)
             if outliers is not None:
-                status[at] |= store.flag("left_out")
-                left_out[at] = outliers.describe(int(left[cell]), int(top[cell]))
+                status[fit_index] |= store.flag("left_out")
+                left_out[fit_index] = outliers.describe(int(left[cell]), int(top[cell]))
     coords = {name: crops[name] for name in crops.coords if set(crops[name].dims) <= set(dims)}
     ds = xr.Dataset(coords=coords, attrs={name: crops.attrs[name] for name in ("title", "dataset", "not_recorded")})
     add_variable(ds, "fit", "fit", np.array(list(FITS), dtype=object), "1", "how the spot was fitted")
@@ -118,14 +125,25 @@ def _fit_both(
     by_likelihood: Callable[[np.ndarray], SpotFits],
     by_least_squares: Callable[[np.ndarray], SpotFits],
 ) -> tuple[dict[int, SpotFits], OutlierPixels | None]:
-    """Return the fits of an image by their place in `FITS`, and the outlying pixels that they leave out."""
+    """Fit an image [row, column] in DN by both estimators, without outlying pixels if that improves the fit.
+
+    `by_likelihood` and `by_least_squares` are the two fits of an image. Without a sensor there is no likelihood.
+
+    Returns
+    -------
+    fits : dict
+        Fits of a single spot by the index of the estimator in `FITS`.
+    outliers : OutlierPixels or None
+        Outlying pixels that the fits leave out; None if they use all pixels.
+    """
     if sensor is None:
         return {LEAST_SQUARES: by_least_squares(image)}, None
     fit = by_likelihood(image)
     excess = float(fit.chi2_reduced) - 1
-    noise = np.sqrt(2 / np.count_nonzero(np.isfinite(image)))
+    # Standard deviation of χ² per degree of freedom due to noise.
+    chi2_sigma = np.sqrt(2 / np.count_nonzero(np.isfinite(image)))
     # The excess is NaN without convergence, which may be due to outliers too.
-    if not excess <= EXCESS_SIGMAS * noise:
+    if not excess <= EXCESS_SIGMAS * chi2_sigma:
         outliers = find_outlier_pixels(image, sensor)
         if outliers.mask.any():
             inliers = np.where(outliers.mask, np.nan, image)
@@ -137,9 +155,10 @@ def _fit_both(
 
 
 def _check_chi2(chi2: np.ndarray) -> list[str]:
-    """Return remarks on fits whose χ² is far from 1 [any shape; NaN without a fit]."""
+    """Return remarks on fits whose χ² per degree of freedom is far from 1; `chi2` has any shape, NaN without a fit."""
     known = chi2[np.isfinite(chi2)]
     keys = "sensor.gain_dn_per_e or sensor.read_noise_e"
+    # Values outside either limit, and the cause that they suggest.
     causes = (
         (
             known[known < TOO_LOW],
@@ -160,30 +179,39 @@ def _check_chi2(chi2: np.ndarray) -> list[str]:
 
 
 def flag_doubtful_errors(fit: SpotFits) -> int:
-    """Return the flags of a fit whose standard errors do not describe its noise: χ² far from 1, or errors of 0."""
+    """Return the flags of a single fit whose standard errors do not describe its noise; 0 if they do.
+
+    They do not if χ² is far from 1, or if an error is 0.
+    """
     is_misfit = np.isfinite(fit.chi2_reduced) and not TOO_LOW <= fit.chi2_reduced <= TOO_HIGH
     has_zero_error = bool(np.any(fit.stderr == 0))
     return (store.flag("misfit") if is_misfit else 0) | (store.flag("no_error") if has_zero_error else 0)
 
 
 def count_failure_reasons(status: np.ndarray) -> str:
-    """Return why crops have no fit, by their flags [any shape]: "2 × no light above the noise"; "" without a flag."""
+    """Return why crops have no fit, as text such as "2 × no light above the noise"; "" if no flag is set.
+
+    `status` holds the flags of the crops, in any shape.
+    """
     flags = store.UNTRUSTED & np.asarray(status, int).ravel()
     counts = {text: int(np.sum(flags & bit > 0)) for bit, (_, text) in store.STATUS.items()}
     return "; ".join(f"{count} × {text}" for text, count in counts.items() if count)
 
 
 def select_preferred_fits(fits: xr.Dataset) -> xr.Dataset:
-    """Return the preferred fits of fits.nc in crops centred on the light, by likelihood if the noise is known."""
+    """Return the fits of fits.nc in crops centred on the light: by likelihood if the sensor's noise is known."""
     return fits.sel(centring="light", fit=fits.attrs["preferred"])
 
 
 def read_fit_in_crop(fits: xr.Dataset, crops: xr.Dataset, index: dict[str, int]) -> StoredFit | None:
-    """Return one fit of fits.nc with its centre relative to the crop; None if there is none."""
-    row, crop = fits.isel(index), crops.isel(index)
-    value, stderr = (np.array([float(row[f"{name}{suffix}"]) for name in NAMES]) for suffix in ("", "_stderr"))
+    """Return one fit of fits.nc with its centre relative to the crop; None if there is none.
+
+    `index` holds the index along each dimension of the grid; fits and crops are reduced to one fit and one centring.
+    """
+    fit, crop = fits.isel(index), crops.isel(index)
+    value, stderr = (np.array([float(fit[f"{name}{suffix}"]) for name in NAMES]) for suffix in ("", "_stderr"))
     if not np.isfinite(value).all():
         return None
     value[X_CENTRE] -= float(crop["left"])
     value[Y_CENTRE] -= float(crop["top"])
-    return StoredFit(value, stderr, float(row["chi2_reduced"]), int(row["status"]))
+    return StoredFit(value, stderr, float(fit["chi2_reduced"]), int(fit["status"]))

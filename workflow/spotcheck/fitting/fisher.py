@@ -1,8 +1,10 @@
-"""Fisher information and Cramér–Rao bounds (Eqs. 30–38), in electrons.
+"""Fisher information and Cramér–Rao bounds (Eqs. 30–38): in electrons, except `information_of_moments` in DN.
 
-The parameters may be any of the forward model, effects included: `information_of_mean` differentiates a mean,
-`information_of_moments` takes the derivatives of mean and variance that `ForwardModel.jacobian` returns. A mean in DN
-has no Poisson distribution; the paper's own bounds assume one and have K times the information.
+ν [e-] is the mean number of electrons of a pixel, θ a vector of parameters, ρ the density of a reading. The parameters
+may be any of the forward model, which predicts a frame from the light and from effects such as nonlinearity.
+`information_of_mean` differentiates a mean; `information_of_moments` takes the derivatives of mean and variance that
+`ForwardModel.jacobian` returns. A mean in DN has no Poisson distribution. The bounds of the paper assume one, and
+therefore have K times the information, with the gain K [DN/e-].
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +18,13 @@ from spotcheck.fitting.reading_kernel import build_reading_law, compute_pixel_in
 from spotcheck.model.baseline import jacobian
 from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, SensorModel
 
-# Quadratures for each decade of the mean.
+# Means for each decade at which the information with read noise is computed exactly.
 NODES_PER_DECADE = 8
-# Codes for each read noise of readings that approximate unrounded ones, and the fewest where shot noise hides rounding.
+# Readings without rounding are approximated by rounded ones with so many codes per standard deviation of the read
+# noise, and at least with so many where shot noise hides the rounding.
 CODES_PER_NOISE, FEWEST_CODES = 64, 8.0
+# Standard deviations of the electrons, and electrons beyond, that the sum over electrons includes.
+COUNT_SIGMAS, COUNT_MARGIN = 9, 10
 # Mean [e-] below which the information with read noise counts as constant.
 LEAST_MEAN_E = 1e-3
 # Below this read noise [e-] electrons can be counted: the information is that of the Poisson distribution to 1 %.
@@ -27,37 +32,44 @@ NOISELESS = 0.2
 
 
 def log_density(z, mean_e, read_noise_e: float, read_mean_e: float = 0.0):
-    """Return ln ρ(z) of Poisson electrons plus Gaussian read noise (Eq. 30), at readings z [e-] for a mean [e-]."""
+    """Return ln ρ(z) of Poisson electrons plus Gaussian read noise (Eq. 30), with ρ in 1/e-.
+
+    Parameters
+    ----------
+    z, mean_e : readings and mean electrons ν [e-]; they broadcast.
+    read_noise_e, read_mean_e : standard deviation and mean of the read noise [e-].
+    """
     z, mean_e = np.broadcast_arrays(np.asarray(z, float), np.asarray(mean_e, float))
     log_rho = np.empty(z.shape)
     for k in np.ndindex(z.shape):
-        # Counts beyond nine standard deviations have no weight.
-        mean, spread = float(mean_e[k]), 9 * np.sqrt(float(mean_e[k])) + 10
-        counts = np.arange(max(0, int(mean - spread)), int(mean + spread) + 1)
+        # Counts that are farther from the mean have no weight.
+        mean, half_width = float(mean_e[k]), COUNT_SIGMAS * np.sqrt(float(mean_e[k])) + COUNT_MARGIN
+        counts = np.arange(max(0, int(mean - half_width)), int(mean + half_width) + 1)
         terms = poisson.logpmf(counts, mean_e[k]) + norm.logpdf(z[k], counts + read_mean_e, read_noise_e)
         log_rho[k] = np.logaddexp.reduce(terms)
     return log_rho
 
 
 def log_density_poisson(z, mean_e):
-    """Return ln ρ(z) of the electrons alone (Eq. 31), at counts z for a mean [e-]."""
+    """Return ln ρ(z) of the electrons alone (Eq. 31), at counts z for a mean ν [e-]; the arguments broadcast."""
     return z * np.log(mean_e) - mean_e - gammaln(np.asarray(z) + 1.0)
 
 
 def score_squared(z, mean_e):
-    """Return S = (∂ ln ρ/∂ν)² of the Poisson distribution at counts z (Eq. 35)."""
+    """Return S = (∂ ln ρ/∂ν)² [1/e-²] of the Poisson distribution at counts z for a mean ν [e-] (Eq. 35)."""
     return (z / mean_e - 1) ** 2
 
 
 def poisson_information(mean_e):
-    """Return I(ν) = 1/ν [1/e-²] of a Poisson mean (Eq. 36)."""
+    """Return I(ν) = 1/ν [1/e-²] of a Poisson mean ν [e-] (Eq. 36)."""
     return 1 / np.asarray(mean_e)
 
 
 def read_noise_information(mean_e, read_noise_e: float):
-    """Return I(ν) [1/e-²] of a Poisson mean read with Gaussian noise: E[(∂ ln ρ/∂ν)²] over the density of Eq. 30.
+    """Return I(ν) [1/e-²] of a Poisson mean with Gaussian read noise: E[(∂ ln ρ/∂ν)²] over the density of Eq. 30.
 
-    It is interpolated in ln ν between quadratures and lies near 1/(ν + σ²). Below `LEAST_MEAN_E` it is constant.
+    `mean_e` is ν [e-] in any shape, `read_noise_e` is σ [e-]. The information is close to 1/(ν + σ²). It is
+    interpolated in ln ν between exact values, and constant below `LEAST_MEAN_E`.
     """
     if read_noise_e < NOISELESS:
         return poisson_information(mean_e)
@@ -72,14 +84,19 @@ def read_noise_information(mean_e, read_noise_e: float):
 
 @cache
 def _integrate_information(mean_e: float, read_noise_e: float) -> float:
-    """Return the information of readings so fine that rounding loses at most 5e-5 of it."""
+    """Return I(ν) [1/e-²] of readings with codes so narrow that rounding loses at most 5e-5 of it."""
     gain = max(CODES_PER_NOISE / np.sqrt(1 + mean_e / read_noise_e**2), FEWEST_CODES) / read_noise_e
-    fine = SensorModel(gain, read_noise_e, black_level_dn=10 * gain * read_noise_e)
-    return float(ReadingDistribution(fine).fisher_information(gain * mean_e)) * gain**2
+    # The black level is ten standard deviations of the read noise above 0, so that no reading is clipped.
+    fine_sensor = SensorModel(gain, read_noise_e, black_level_dn=10 * gain * read_noise_e)
+    # From information on the light [1/DN²] to that on electrons.
+    return float(ReadingDistribution(fine_sensor).fisher_information(gain * mean_e)) * gain**2
 
 
 def reading_information(mean_e, sensor: SensorModel) -> np.ndarray:
-    """Return I(ν) [1/e-²] of a reading with noise, rounding, both clips and the full well, as the spot fit uses it."""
+    """Return I(ν) [1/e-²] of a reading as the spot fit uses it, in the shape of the mean electrons ν [e-].
+
+    It includes shot and read noise, rounding, clips at 0 and at full scale, and the full well.
+    """
     mean_e = np.asarray(mean_e, float)
     return compute_pixel_information(mean_e.ravel(), build_reading_law(sensor)).reshape(mean_e.shape)
 
@@ -97,14 +114,15 @@ def information_of_mean(mean_e: Callable, parameters: Sequence[float], pixel_inf
 
 
 def information_of_moments(variance: np.ndarray, mean_slopes: np.ndarray, variance_slopes: np.ndarray) -> np.ndarray:
-    """Return I(θ) [parameter, parameter] of normal readings: Σ µ_i µ_j/V + V_i V_j/2V² (Slepian–Bangs).
+    """Return I(θ) [parameter, parameter] of normally distributed readings by the Slepian–Bangs formula.
 
-    Unlike `information_of_mean` it covers parameters of the sensor, which change the variance too.
+    I_ij is the sum over pixels of µ_i µ_j/V + V_i V_j/(2 V²), where µ_i and V_i are the derivatives of mean and
+    variance by parameter i. Unlike `information_of_mean` it covers parameters of the sensor, which change the variance.
 
     Parameters
     ----------
     variance : V [pixels] in DN².
-    mean_slopes, variance_slopes : derivatives of mean and variance by the parameters [parameter, pixels].
+    mean_slopes, variance_slopes : µ_i [DN] and V_i [DN²], both per unit of the parameter [parameter, pixels].
     """
     variance = np.ravel(variance)
     # A reading with less variance than rounding is clipped and not normal: it gets no weight.
@@ -113,24 +131,33 @@ def information_of_moments(variance: np.ndarray, mean_slopes: np.ndarray, varian
 
 
 def information(slopes: np.ndarray, pixel_information: np.ndarray) -> np.ndarray:
-    """Return I(θ) [parameter, parameter] from ∂ν_k/∂θ [parameter, pixels] and each pixel's I(ν_k) (Eqs. 34 and 37)."""
+    """Return I(θ) [parameter, parameter] from ∂ν/∂θ and I(ν) of each pixel (Eqs. 34 and 37).
+
+    `slopes` are ∂ν/∂θ [parameter, pixels], `pixel_information` is I(ν) [pixels]. Pixels may have several dimensions.
+    """
     slopes = slopes.reshape(len(slopes), -1)
     return (slopes * np.ravel(pixel_information)) @ slopes.T
 
 
 def information_from_scores(scores: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Return I(θ) = E[(∂ ln ρ/∂θ)ᵀ (∂ ln ρ/∂θ)] of one pixel (Eq. 33).
+    """Return I(θ) = E[(∂ ln ρ/∂θ)ᵀ (∂ ln ρ/∂θ)] [parameter, parameter] of one pixel (Eq. 33).
 
-    `scores` are [parameter, outcome], `probability` [outcome].
+    `scores` are ∂ ln ρ/∂θ of every possible reading [parameter, reading], `probability` is its probability [reading].
     """
     return (scores * probability) @ scores.T
 
 
-def information_from_curvature(second: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Return I(θ) = −E[∂² ln ρ/∂θ_i ∂θ_j] (Eq. 32), from second derivatives [parameter, parameter, outcome]."""
-    return -(second * probability).sum(axis=-1)
+def information_from_curvature(second_derivatives: np.ndarray, probability: np.ndarray) -> np.ndarray:
+    """Return I(θ) = −E[∂² ln ρ/∂θ_i ∂θ_j] [parameter, parameter] of one pixel (Eq. 32).
+
+    `second_derivatives` are those of every possible reading [parameter, parameter, reading], `probability` [reading].
+    """
+    return -(second_derivatives * probability).sum(axis=-1)
 
 
 def cramer_rao_bounds(matrix: np.ndarray) -> np.ndarray:
-    """Return the bounds on the variances of the parameters: the diagonal of I(θ)⁻¹ (Eq. 38)."""
+    """Return the bounds on the variances of the parameters [parameter]: the diagonal of I(θ)⁻¹ (Eq. 38).
+
+    `matrix` is I(θ) [parameter, parameter]; a singular one raises `LinAlgError`.
+    """
     return np.diag(np.linalg.inv(matrix)).copy()

@@ -10,6 +10,7 @@ from spotcheck.fitting.variables import add_variable
 from spotcheck.io import store
 from spotcheck.io.number_text import quantity_text
 
+# Parameters of a fit: name, unit and description. The first seven are fitted; the last follows from two of them.
 PARAMETERS = {
     "amplitude": ("DN", "peak of the fitted Gaussian above its offset"),
     "x_centre": ("pixel", "column of the fitted centre"),
@@ -21,18 +22,23 @@ PARAMETERS = {
     "sigma_mean": ("pixel", "direction-averaged width, mean of the long and the short axis"),
 }
 NAMES = tuple(PARAMETERS)
+# Names of the parameters that have a covariance.
+FITTED_NAMES = NAMES[:7]
 # Most spots that `repr` lists one by one.
 LISTED_SPOTS = 10
 
 
 class _Column:
-    """One parameter of every spot, or its standard error, as an attribute: a column of `value` or `stderr`."""
+    """Descriptor for one parameter of every spot, or its standard error: a column of `value` or `stderr`.
+
+    The name of the attribute selects the column.
+    """
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self._array = "stderr" if name.endswith("_stderr") else "value"
+        self._array_name = "stderr" if name.endswith("_stderr") else "value"
         self._index = NAMES.index(name.removesuffix("_stderr"))
         unit, text = PARAMETERS[NAMES[self._index]]
-        self.__doc__ = f"{'standard error of ' if self._array == 'stderr' else ''}{text} [{unit}]"
+        self.__doc__ = f"{'standard error of ' if self._array_name == 'stderr' else ''}{text} [{unit}]"
 
     @overload
     def __get__(self, fits: None, owner: type) -> "_Column": ...
@@ -41,7 +47,8 @@ class _Column:
     def __get__(self, fits: "SpotFits", owner: type) -> np.ndarray: ...
 
     def __get__(self, fits: "SpotFits | None", owner: type) -> "np.ndarray | _Column":
-        return self if fits is None else getattr(fits, self._array)[..., self._index]
+        """Return the column [spot], or the descriptor itself if it is read from the class."""
+        return self if fits is None else getattr(fits, self._array_name)[..., self._index]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,9 +75,9 @@ class SpotFits:
     Attributes
     ----------
     value, stderr : values and standard errors [spot, 8] in one array each, columns in the order of `parameters`.
-    covariance : [spot, 7, 7] of the first seven `parameters`, in products of their units.
+    covariance : covariance [spot, 7, 7] of the first seven `parameters`, in products of their units.
     chi2_reduced : χ² per degree of freedom [spot] under the sensor's noise; NaN without a sensor.
-    flags : status as bits [spot], as `status` in every file; 0 is a fit that can be trusted.
+    flags : status as bits [spot], as in the variable `status` of fits.nc; 0 is a fit that can be trusted.
 
     Examples
     --------
@@ -124,25 +131,31 @@ class SpotFits:
         return self.covariance[..., NAMES.index(first), NAMES.index(second)]
 
     def __len__(self) -> int:
+        """Return the number of spots; a single spot raises TypeError."""
         if not np.ndim(self.flags):
             raise TypeError("a single spot has no length")
         return len(self.flags)
 
     def __bool__(self) -> bool:
+        """Return whether there is a spot; a single spot is true."""
         return np.size(self.flags) > 0
 
     def __getitem__(self, index: Any) -> "SpotFits":
+        """Return the spots that an index, slice or mask selects; a single spot raises TypeError."""
         if not np.ndim(self.flags):
             raise TypeError("a single spot has no index; its parameters are attributes")
         return SpotFits(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def to_dataset(self) -> xr.Dataset:
-        """Return all results as an `xarray.Dataset` over `spot`, with units and long names; `status` holds `flags`."""
+        """Return all results as an `xarray.Dataset` with units and long names; `status` holds `flags`.
+
+        The variables have the dimension `spot`, or none for a single spot.
+        """
         dims = ("spot",)[: np.ndim(self.flags)]
         ds = xr.Dataset(attrs={"title": "fits of single spots", "dataset": "images in memory"})
         add_parameters(ds, dims, self.value, self.stderr)
         for name in ("parameter", "other_parameter"):
-            add_variable(ds, name, name, np.array(NAMES[:7], dtype=object), "1", "name of a fitted parameter")
+            add_variable(ds, name, name, np.array(FITTED_NAMES, dtype=object), "1", "name of a fitted parameter")
         units, long_name = "products of those of the parameters", "covariance of the fitted parameters"
         add_variable(ds, "covariance", (*dims, "parameter", "other_parameter"), self.covariance, units, long_name)
         long_name = "chi-square per degree of freedom under sensor noise"
@@ -151,6 +164,7 @@ class SpotFits:
         return ds
 
     def __repr__(self) -> str:
+        """Return one line for each parameter of a single spot, or a table with one row for each spot."""
         return "\n".join(self._format_many() if np.ndim(self.flags) else self._format_single())
 
     def _format_single(self) -> list[str]:
@@ -161,13 +175,13 @@ class SpotFits:
         return lines
 
     def _format_many(self) -> list[str]:
-        """Return the lines of a table with one row for each spot."""
+        """Return a line with the number of spots by status, and a table of at most `LISTED_SPOTS` spots."""
         names, counts = np.unique(self.status, return_counts=True)
         summary = ", ".join(f"{count} {name}" for name, count in zip(names, counts, strict=True))
         lines = [f"{len(self)} fitted spots" + (f": {summary}" if summary else "")]
-        rows = [["", *NAMES[:7], "status"], ["", *(f"[{PARAMETERS[name][0]}]" for name in NAMES[:7]), ""]]
+        rows = [["", *FITTED_NAMES, "status"], ["", *(f"[{PARAMETERS[name][0]}]" for name in FITTED_NAMES), ""]]
         for k in range(min(len(self), LISTED_SPOTS)):
-            cells = [quantity_text(self.value[k, j], self.stderr[k, j]) for j in range(7)]
+            cells = [quantity_text(self.value[k, j], self.stderr[k, j]) for j in range(len(FITTED_NAMES))]
             rows.append([str(k), *cells, str(self.status[k])])
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         if len(self):
@@ -183,9 +197,9 @@ def add_parameters(
     Parameters
     ----------
     ds : dataset to extend.
-    dims : dimensions of the variables.
-    value, stderr : values and standard errors [dims, parameter] in the order of `PARAMETERS`.
-    origin : text for the long names of the centre, on where its coordinates start.
+    dims : names of the dimensions of the variables.
+    value, stderr : values and standard errors [*dims, 8] in the order of `PARAMETERS`.
+    origin : end of the long names of x_centre and y_centre, with a leading blank, such as " on the sensor".
     """
     for k, (name, (units, long_name)) in enumerate(PARAMETERS.items()):
         long_name += origin if name.endswith("_centre") else ""

@@ -3,8 +3,10 @@
 Damped least squares cannot diverge. A root counts as reached if the next step is a small fraction of the standard
 errors, never because the cost stopped falling.
 
-A point of the search [7] is either θ itself (see `spot_score`), or amplitude, x0, y0, two widths [px], orientation
-[rad] and offset (`Parametrization.uses_widths`).
+θ [7] are amplitude [DN], x0, y0 [px], the elements a, b, c [1/px²] of the inverse covariance matrix [[a, b], [b, c]] of
+the spot, and offset [DN] (see `spot_score`). A point of the search [7] is either θ itself, or amplitude, x0, y0, major
+and minor width [px], orientation [rad] and offset (`Parametrization.uses_widths`). Functions are compiled; `law` is the
+distribution of a reading (`ReadingLaw`), and NaN pixels are left out.
 """
 
 import math
@@ -15,41 +17,56 @@ import numpy as np
 from spotcheck.fitting.reading_kernel import compiled
 from spotcheck.fitting.spot_score import EQUAL, multiply, score_spot, transform_information
 
+# Steps of either method.
 MAX_ITERATIONS = 60
-# Squared distance to the root in standard errors below which the last step is taken, which reduces it much further. If
-# the model does not fit, errors and this distance grow by the root of χ² per degree of freedom.
+# Squared distance to the root of the score, in standard errors, below which the last step is taken. That step reduces
+# the distance much further. If the model does not fit, the limit grows by χ² per degree of freedom, as the squared
+# errors do.
 CONVERGED_DECREMENT = 2.5e-3
+# Levenberg–Marquardt damping, relative to the diagonal of the information: start, limits, and the factor by which it
+# changes after each step.
+FIRST_DAMPING, LEAST_DAMPING, LARGEST_DAMPING, DAMPING_FACTOR = 1e-3, 1e-9, 1e9, 8
+# Least squares end at a squared distance to the optimum of so many squared standard errors, or if the cost falls by
+# less than this fraction.
+LEAST_SQUARES_DECREMENT, LEAST_SQUARES_TOLERANCE = 1e-2, 1e-9
+# Shortest step of Fisher scoring after an overshooting one, as a fraction of the full step.
+LEAST_SHRINK = 0.05
+# Least scatter of an image about its fit, as a fraction of the amplitude: simulated images may have no noise.
+LEAST_SCATTER = 1e-7
 # Standard deviation [px] below which all light is within one pixel, so that the width has no effect.
 NARROWEST = 0.2
 
 
 class Parametrization(NamedTuple):
-    """Coordinates of the search in the form of the compiled code."""
+    """Meaning of the coordinates of a point of the search, in the form of the compiled code."""
 
-    free: np.ndarray  # which of the seven coordinates are free [7]
-    uses_widths: bool  # whether they are widths and orientation, as fixed parameters need, and not θ
+    free: np.ndarray  # which of the seven coordinates are fitted [7]; the others keep their values
+    uses_widths: bool  # whether the shape is given by widths and orientation, as fixed parameters need, and not by θ
     is_circular: bool  # whether both widths are equal; only with `uses_widths`
 
 
 @compiled
 def convert_widths(major, minor, orientation):
-    """Return the inverse covariance a, b, c [1/px²] of widths [px] and orientation [rad]."""
+    """Return the inverse covariance a, b, c [1/px²] of a spot with widths [px] and orientation [rad]."""
     cos, sin = math.cos(orientation), math.sin(orientation)
-    p, q = 1 / (major * major), 1 / (minor * minor)
-    return cos * cos * p + sin * sin * q, cos * sin * (p - q), sin * sin * p + cos * cos * q
+    # Inverse variances [1/px²] along the long and the short axis.
+    along, across = 1 / (major * major), 1 / (minor * minor)
+    return cos * cos * along + sin * sin * across, cos * sin * (along - across), sin * sin * along + cos * cos * across
 
 
 @compiled
 def convert_inverse_covariance(a, b, c):
     """Return long and short width [px] and orientation [rad] of the inverse covariance a, b, c [1/px²]."""
-    mean, half, cross = (a + c) / 2, (a - c) / 2, b
-    spread = math.hypot(half, cross)
-    return 1 / math.sqrt(mean - spread), 1 / math.sqrt(mean + spread), 0.5 * math.atan2(-cross, -half)
+    mean, half_difference = (a + c) / 2, (a - c) / 2
+    spread = math.hypot(half_difference, b)
+    # The long axis belongs to the smaller eigenvalue of the inverse covariance, hence the signs.
+    orientation = 0.5 * math.atan2(-b, -half_difference)
+    return 1 / math.sqrt(mean - spread), 1 / math.sqrt(mean + spread), orientation
 
 
 @compiled
 def compute_theta(point, coordinates):
-    """Return θ of a point of the search."""
+    """Return θ [7] of a point of the search [7]; `coordinates` is its `Parametrization`, as in all functions here."""
     theta = point.copy()
     if coordinates.uses_widths:
         theta[3], theta[4], theta[5] = convert_widths(point[3], point[4], point[5])
@@ -58,13 +75,15 @@ def compute_theta(point, coordinates):
 
 @compiled
 def _compute_full_jacobian(point, coordinates):
-    """Return ∂θ/∂point [7, 7]; with equal widths the first width changes both."""
+    """Return ∂θ/∂point [7, 7], θ along rows; with equal widths the first width changes both."""
     jacobian = np.eye(7)
     if not coordinates.uses_widths:
         return jacobian
     major, minor = point[3], point[4]
     cos, sin = math.cos(point[5]), math.sin(point[5])
+    # Negative derivatives of 1/σ² by the major and the minor width, and difference of 1/σ² between both axes.
     u, v, w = 2 / major**3, 2 / minor**3, 1 / major**2 - 1 / minor**2
+    # Derivatives of a, b, c by the major width, the minor width and the orientation.
     jacobian[3, 3], jacobian[4, 3], jacobian[5, 3] = -cos * cos * u, -cos * sin * u, -sin * sin * u
     jacobian[3, 4], jacobian[4, 4], jacobian[5, 4] = -sin * sin * v, cos * sin * v, -cos * cos * v
     jacobian[3, 5], jacobian[4, 5], jacobian[5, 5] = -2 * cos * sin * w, (cos * cos - sin * sin) * w, 2 * cos * sin * w
@@ -75,7 +94,7 @@ def _compute_full_jacobian(point, coordinates):
 
 @compiled
 def _apply_step(point, step, coordinates):
-    """Return the point after a step; with equal widths the second width equals the first."""
+    """Return the point [7] after a step [7]; with equal widths the second width equals the first."""
     trial = point + step
     if coordinates.is_circular:
         trial[4] = trial[3]
@@ -84,7 +103,10 @@ def _apply_step(point, step, coordinates):
 
 @compiled
 def _is_valid(point, coordinates):
-    """Return whether a point is a Gaussian that is not too narrow."""
+    """Return whether a point is a Gaussian with widths of about `NARROWEST` or more.
+
+    For θ: the matrix is positive definite, and its trace is below that of a round spot of this width.
+    """
     if coordinates.uses_widths:
         return point[3] >= NARROWEST and point[4] >= NARROWEST
     a, b, c = point[3], point[4], point[5]
@@ -93,9 +115,10 @@ def _is_valid(point, coordinates):
 
 @compiled
 def solve_damped(matrix, vector, damping):
-    """Return the solution of (M + damping diag M) x = v, and whether M is positive definite.
+    """Return the solution x of (M + damping · diag M) x = v, and whether that matrix is positive definite.
 
-    Cholesky decomposition after scaling by the diagonal.
+    M is `matrix` [n, n], v is `vector` [n]. The method is a Cholesky decomposition after scaling by the diagonal. If
+    the matrix is not positive definite, v itself is returned in place of x.
     """
     size = vector.size
     scale = np.empty(size)
@@ -116,6 +139,7 @@ def solve_damped(matrix, vector, damping):
                 lower[i, i] = math.sqrt(total)
             else:
                 lower[i, j] = total / lower[j, j]
+    # Forward and backward substitution.
     for i in range(size):
         total = vector[i] * scale[i]
         for k in range(i):
@@ -131,59 +155,57 @@ def solve_damped(matrix, vector, damping):
 
 @compiled
 def compute_jacobian(point, coordinates):
-    """Return ∂θ/∂(free parameters) [7, free] at a point."""
-    full, jacobian, column = _compute_full_jacobian(point, coordinates), np.empty((7, coordinates.free.sum())), 0
-    for k in range(7):
-        if coordinates.free[k]:
-            jacobian[:, column] = full[:, k]
-            column += 1
-    return jacobian
+    """Return ∂θ/∂(free coordinates) [7, free] at a point."""
+    return _compute_full_jacobian(point, coordinates)[:, coordinates.free]
 
 
 @compiled
 def _compute_step(point, score, information, damping, coordinates):
-    """Return the step [7] from a point, its decrement, the information of the free parameters, and whether it exists.
+    """Return the step [7] from a point, its decrement, the information of the free coordinates, and whether it exists.
 
-    The decrement is scoreᵀ step; the information is [free, free].
+    `score` [7] and `information` [7, 7] are those of θ. The decrement is scoreᵀ step, the squared distance to the root
+    in standard errors. The returned information is [free, free]. The step is 0 for coordinates that are not free.
     """
     jacobian = compute_jacobian(point, coordinates)
     free_score, free_information = multiply(jacobian.T, score), transform_information(jacobian, information)
-    step, is_solvable = solve_damped(free_information, free_score, damping)
-    full, decrement, column = np.zeros(7), 0.0, 0
+    free_step, is_solvable = solve_damped(free_information, free_score, damping)
+    step, decrement, column = np.zeros(7), 0.0, 0
     for k in range(7):
         if coordinates.free[k]:
-            full[k] = step[column]
-            decrement += free_score[column] * step[column]
+            step[k] = free_step[column]
+            decrement += free_score[column] * free_step[column]
             column += 1
-    return full, decrement, free_information, is_solvable
+    return step, decrement, free_information, is_solvable
 
 
 @compiled
 def fit_least_squares(image, point, law, top_hat, coordinates):
-    """Return the point of least squares with equal weights by the Levenberg–Marquardt method.
+    """Return the point [7] of least squares with equal weights by the Levenberg–Marquardt method, from a start `point`.
 
-    It is accurate to about a tenth of a standard error and a start for Fisher scoring. NaN pixels are left out.
+    It is accurate to about a tenth of a standard error and serves as a start for Fisher scoring. `image` [row, column]
+    is in DN.
     """
-    damping = 1e-3
+    damping = FIRST_DAMPING
     score, information, cost, used = score_spot(image, compute_theta(point, coordinates), EQUAL, law, top_hat)
     for _ in range(MAX_ITERATIONS):
         step, decrement, _, is_solvable = _compute_step(point, score, information, damping, coordinates)
         trial = _apply_step(point, step, coordinates)
         is_accepted = is_solvable and _is_valid(trial, coordinates)
         if is_accepted:
-            t_score, t_information, t_cost, used = score_spot(
-                image, compute_theta(trial, coordinates), EQUAL, law, top_hat
-            )
-            is_accepted = t_cost <= cost
+            theta = compute_theta(trial, coordinates)
+            trial_score, trial_information, trial_cost, used = score_spot(image, theta, EQUAL, law, top_hat)
+            is_accepted = trial_cost <= cost
         if is_accepted:
-            is_converged = decrement <= 1e-2 * cost / max(used - 7, 1) or cost - t_cost <= 1e-9 * cost
-            point, score, information, cost = trial, t_score, t_information, t_cost
-            damping = max(damping / 8, 1e-9)
+            # With equal weights, the mean squared residual is the unit of the decrement.
+            is_near = decrement <= LEAST_SQUARES_DECREMENT * cost / max(used - 7, 1)
+            is_converged = is_near or cost - trial_cost <= LEAST_SQUARES_TOLERANCE * cost
+            point, score, information, cost = trial, trial_score, trial_information, trial_cost
+            damping = max(damping / DAMPING_FACTOR, LEAST_DAMPING)
             if is_converged:
                 break
         else:
-            damping *= 8
-            if damping > 1e9:
+            damping *= DAMPING_FACTOR
+            if damping > LARGEST_DAMPING:
                 break
     return point
 
@@ -192,12 +214,14 @@ def fit_least_squares(image, point, law, top_hat, coordinates):
 def run_fisher_scoring(image, point, weighting, law, top_hat, coordinates):
     """Find the root of the score by Fisher scoring.
 
-    Return the point, the information of the free parameters [free, free], χ² with its number of pixels, and whether the
-    root was reached.
+    `image` [row, column] is in DN, `point` [7] is the start, and `weighting` is one of those of `score_spot`. Return
+    the point [7], the information of the free coordinates [free, free], χ² (or Σ residual² [DN²] with equal weights),
+    its number of pixels, and whether the root was reached. Otherwise information and χ² are NaN and the number is 0.
     """
-    shrink, previous_step, expected_gain = 1.0, np.zeros(7), 0.0
+    shrink, previous_step, previous_decrement = 1.0, np.zeros(7), 0.0
     if weighting != EQUAL and coordinates.free[6]:
-        # Far below 0 every reading is 0 and has no information on the offset.
+        # The search starts at most two standard deviations of the read noise below 0 DN: far below, every reading is 0
+        # and has no information on the offset.
         lowest = -2 * law.gain * math.sqrt(law.read_variance + law.rounding_variance)
         point = point.copy()
         point[6] = max(point[6], lowest)
@@ -210,7 +234,7 @@ def run_fisher_scoring(image, point, weighting, law, top_hat, coordinates):
             break
         misfit = chi2 / max(used - 7, 1)
         # With equal weights the scatter about the fit is the only scale; noise-free images have none.
-        scale = max(misfit, (1e-7 * point[0]) ** 2) if weighting == EQUAL else max(misfit, 1.0)
+        scale = max(misfit, (LEAST_SCATTER * point[0]) ** 2) if weighting == EQUAL else max(misfit, 1.0)
         if decrement < CONVERGED_DECREMENT * scale:
             last = _apply_step(point, step, coordinates)
             return (last if _is_valid(last, coordinates) else point), free_information, chi2, used, True
@@ -218,13 +242,14 @@ def run_fisher_scoring(image, point, weighting, law, top_hat, coordinates):
             # Far from the root, expected and observed information differ and full steps overshoot; the slope that is
             # left along the last step measures by how much.
             slope = multiply(compute_jacobian(point, coordinates).T, score) @ previous_step[coordinates.free]
-            shrink = shrink * expected_gain / (expected_gain - slope) if slope < expected_gain else 1.0
-            shrink = min(1.0, max(shrink, 0.05))
+            shrink = shrink * previous_decrement / (previous_decrement - slope) if slope < previous_decrement else 1.0
+            shrink = min(1.0, max(shrink, LEAST_SHRINK))
         for k in (0, 6):
-            # Limit a step to half of the amplitude: with little information it can have any size.
+            # Steps of amplitude and offset are limited to half of the amplitude: with little information on them, a
+            # step can have any size.
             if shrink * abs(step[k]) > abs(point[0]) / 2:
                 shrink = abs(point[0] / step[k]) / 2
-        previous_step, expected_gain = step, decrement
+        previous_step, previous_decrement = step, decrement
         trial = _apply_step(point, shrink * step, coordinates)
         while not _is_valid(trial, coordinates):
             shrink /= 2
@@ -236,12 +261,17 @@ def run_fisher_scoring(image, point, weighting, law, top_hat, coordinates):
 
 @compiled
 def apply_constraints(theta, coordinates, fixed_values):
-    """Return the point with widths near θ that has the fixed values of all parameters that are not free."""
+    """Convert a start θ [7] to a point with widths, and set coordinates that are not free to `fixed_values` [7].
+
+    Fixed widths are in px and the fixed orientation is in rad; values of free coordinates are ignored. A circular spot
+    gets the geometric mean of both widths and the orientation 0. Only with `uses_widths`.
+    """
     point = theta.copy()
     point[3], point[4], point[5] = convert_inverse_covariance(theta[3], theta[4], theta[5])
     if coordinates.is_circular:
         point[3] = math.sqrt(point[3] * point[4])
         point[5] = 0.0
+    # Minor width and orientation of a circular spot are not free, but have no fixed value.
     for k in range(7):
         if not coordinates.free[k] and not (coordinates.is_circular and (k == 4 or k == 5)):
             point[k] = fixed_values[k]

@@ -10,6 +10,11 @@ from spotcheck.model import spot
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import check_sensor, dark_signal
 
+# Index of the orientation among the parameters of a spot.
+ORIENTATION = 5
+# Smaller eigenvalues of an information matrix with a diagonal of 1 are rounding errors.
+LEAST_EIGENVALUE = 1e-12
+
 
 class SpotBounds(NamedTuple):
     """Smallest standard errors that an unbiased fit of one image can have; infinite if a parameter is undetermined.
@@ -68,7 +73,8 @@ def spot_bounds(
     Returns
     -------
     SpotBounds
-        Standard errors by name. The orientation of a round spot is infinite, and both widths are along fixed axes.
+        Standard errors by name. That of the orientation of a round spot is infinite; its widths are those along fixed
+        axes.
 
     Raises
     ------
@@ -100,27 +106,28 @@ def spot_bounds(
     x, y = np.arange(columns, dtype=float)[None, :], np.arange(rows, dtype=float)[:, None]
 
     def mean_e(amplitude, x0, y0, major, minor, orientation, offset):
+        """Return the mean electrons [row, column] of the image; orientation in rad."""
         light = spot.elliptical_gaussian(x, y, amplitude, x0, y0, major, minor, orientation)
         return ((spot.top_hat(light, amplitude) if top_hat else light) + offset - black) / gain
 
     theta = (amplitude, x0, y0, sigma_major, minor, np.radians(orientation), offset)
     matrix = fisher.information_of_mean(mean_e, theta, lambda mean: fisher.reading_information(mean, sensor))
     # The orientation of a round spot has no information but rounding errors.
-    determined = np.array([k for k in range(7) if k != 5 or minor < sigma_major])
+    determined = np.array([k for k in range(len(theta)) if k != ORIENTATION or minor < sigma_major])
     block = np.ix_(determined, determined)
-    covariance = np.full((7, 7), np.inf)
+    covariance = np.full(matrix.shape, np.inf)
     if _is_positive_definite(matrix[block]):
         covariance[block] = invert_information(matrix[block])
-    error = np.sqrt(np.diag(covariance))
-    error[5] = np.degrees(error[5])
-    mean = np.sqrt((covariance[3, 3] + covariance[4, 4] + 2 * covariance[3, 4]) / 4)
-    return SpotBounds._make([*error.tolist(), float(mean)])
+    stderr = np.sqrt(np.diag(covariance))
+    stderr[ORIENTATION] = np.degrees(stderr[ORIENTATION])
+    mean_stderr = np.sqrt((covariance[3, 3] + covariance[4, 4] + 2 * covariance[3, 4]) / 4)
+    return SpotBounds._make([*stderr.tolist(), float(mean_stderr)])
 
 
 def _is_positive_definite(matrix: np.ndarray) -> bool:
-    """Return whether a matrix scaled by its diagonal has only eigenvalues above rounding errors."""
+    """Return whether a symmetric matrix, scaled to a diagonal of 1, has only eigenvalues above rounding errors."""
     diagonal = np.diag(matrix)
     if not (diagonal > 0).all():
         return False
     scale = 1 / np.sqrt(diagonal)
-    return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > 1e-12)
+    return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > LEAST_EIGENVALUE)

@@ -1,4 +1,7 @@
-"""Peak and width of every spot that the paper's simulation starts from."""
+"""Peak and width of the spot in every frame, from which the simulation of the paper starts.
+
+The width law gives the width of a spot over its exposure time (`width_law`); calibration.nc holds it.
+"""
 
 import xarray as xr
 
@@ -12,15 +15,23 @@ from spotcheck.model.simulation import SpotStates
 
 
 def list_spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset) -> SpotStates:
-    """Return peak [DN] and width [px] of every frame by the law of calibration.nc, or by its own fit without a law.
+    """Return peak [DN] and width σ_g [px] of every frame: by the width law, or without one by the fit of the frame.
 
-    The peak is NaN for a frame without a usable spot.
+    Parameters
+    ----------
+    dataset : the dataset, whose frames lie on a grid of conditions.
+    calibration, fits : calibration.nc and fits.nc of the dataset.
+
+    Returns
+    -------
+    dict
+        State of the spot by the index of its frame in the grid. The peak is NaN for a frame without a usable spot.
     """
     law = read_width_law(calibration)
     if law is None:
-        fit = select_preferred_fits(fits)
-        is_usable = (fit["amplitude"] > 0) & (fit["status"] & store.UNTRUSTED == 0)
-        peaks, widths = fit["amplitude"].where(is_usable).values, fit["sigma_mean"].values
-        return {cell: SpotState(float(peaks[cell]), float(widths[cell])) for cell, _ in dataset.cells()}
+        spots = select_preferred_fits(fits)
+        is_usable = (spots["amplitude"] > 0) & (spots["status"] & store.UNTRUSTED == 0)
+        peaks, widths = spots["amplitude"].where(is_usable).values, spots["sigma_mean"].values
+        return {index: SpotState(float(peaks[index]), float(widths[index])) for index, _ in dataset.cells()}
     baseline = of_instrument(dataset.instrument, dataset.exposures)
-    return {cell: SpotState(*law.spot_at(baseline, row.exposure_s)) for cell, row in dataset.cells()}
+    return {index: SpotState(*law.spot_at(baseline, frame.exposure_s)) for index, frame in dataset.cells()}

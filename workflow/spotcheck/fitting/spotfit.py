@@ -3,6 +3,10 @@
 The likelihood is the distribution of a reading (`reading_kernel`): shot, dark and read noise, gain and rounding, and
 the probability of being clipped. NaN pixels are left out. With equal weights the fit is the paper's estimator,
 unweighted least squares, and needs no sensor.
+
+θ [7] are amplitude [DN], x0, y0 [px], the elements a, b, c [1/px²] of the inverse covariance matrix [[a, b], [b, c]] of
+the spot, and offset [DN] (`spot_score`). A point of the search [7] is θ, or widths [px] and orientation [rad] in place
+of a, b, c if parameters are fixed (`Parametrization`).
 """
 
 from collections.abc import Iterable, Mapping
@@ -10,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.fitting.fit_results import NAMES, SpotFits
+from spotcheck.fitting.fit_results import FITTED_NAMES, SpotFits
 from spotcheck.fitting.initial_estimate import estimate_start
 from spotcheck.fitting.optimization import (
     NARROWEST,
@@ -29,23 +33,26 @@ from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import check_sensor
 from spotcheck.sensor.pixel_maps import PixelMaps
 
+# Weightings of the pixels by the name in `fit_spots`.
 WEIGHTINGS = {"likelihood": LIKELIHOOD, "equal": EQUAL}
 # A spot has an orientation if its axes differ significantly: one round spot in 1000 exceeds this χ² of 2 degrees of
 # freedom.
-ROUND = 13.8
+ROUND_CHI2 = 13.8
 # A width or an amplitude with a larger relative error was not measured.
 MAX_RELATIVE_ERROR = 0.5
 # A spot with a smaller width [px] cannot be trusted: pixels do not sample it.
 NARROWEST_TRUSTED = 0.3
 # Least variance [px²] that remains of a width after that of a pixel is removed.
 LEAST_VARIANCE = 1e-6
+# Columns of amplitude and both widths among the parameters.
+SIZE_COLUMNS = [0, 3, 4]
 
 
 class FitDesign(NamedTuple):
-    """Parameters and shape of a fit."""
+    """Options of a fit: which parameters are free, and the shape of the light."""
 
-    coordinates: Parametrization  # coordinates of the search
-    fixed_values: np.ndarray  # values of the parameters that are not free, orientation in rad [7]
+    coordinates: Parametrization  # what the coordinates of a point of the search mean, and which are free
+    fixed_values: np.ndarray  # values of the parameters that are not free, orientation in rad; 0 for free ones [7]
     top_hat: bool  # whether the light has a plateau
     integrated: bool  # whether a pixel reads the mean of the light over it
 
@@ -124,10 +131,10 @@ def fit_spots(
     # Laws of readings between whole numbers, by the shape of the image.
     fractional_laws: dict[tuple[int, ...], ReadingLaw] = {}
     is_single = getattr(images, "ndim", None) == 2
-    sequence: Iterable[np.ndarray] = [np.asanyarray(images)] if is_single else images
+    image_sequence: Iterable[np.ndarray] = [np.asanyarray(images)] if is_single else images
     shapes, results = [], []
-    for number, image in enumerate(sequence):
-        pixels, image_law = _prepare_pixels(image, number), law
+    for image_index, image in enumerate(image_sequence):
+        pixels, image_law = _prepare_pixels(image, image_index), law
         if weighting == "likelihood" and maps is None and not np.array_equal(pixels, np.rint(pixels), equal_nan=True):
             if pixels.shape not in fractional_laws:
                 # Uniform maps without errors change nothing but let readings be fractional.
@@ -137,39 +144,43 @@ def fit_spots(
         if sensor is not None:
             pixels = sensor.linearize(pixels)
         if maps is not None:
-            pixels = _mask_unmapped_pixels(pixels, maps, number)
+            pixels = _mask_unmapped_pixels(pixels, maps, image_index)
         shapes.append(pixels.shape)
         results.append(_fit_image(pixels, image_law, WEIGHTINGS[weighting], sensor is not None, design))
-    size = int(design.coordinates.free.sum())
+    free_count = int(design.coordinates.free.sum())
+    # The shapes are stated for the case of no images.
     points, covariance, chi2 = (
         np.array([result[k] for result in results]).reshape(len(results), *shape)
-        for k, shape in enumerate(((7,), (size, size), ()))
+        for k, shape in enumerate(((7,), (free_count, free_count), ()))
     )
     fits = _convert_to_parameters(points, covariance, chi2, np.array(shapes).reshape(-1, 2), design)
     return fits[0] if is_single else fits
 
 
-def _prepare_pixels(image: np.ndarray, number: int) -> np.ndarray:
-    """Return an image [row, column] as contiguous floats with NaN for masked pixels; `number` is for messages."""
+def _prepare_pixels(image: np.ndarray, image_index: int) -> np.ndarray:
+    """Return an image [row, column] as contiguous floats with NaN for masked pixels; the index is for messages."""
     if np.ma.isMaskedArray(image):
         image = np.ma.filled(image.astype(float), np.nan)
     pixels = np.asarray(image, dtype=float)
     if pixels.ndim != 2:
-        raise ValueError(f"images: number {number} has the shape {pixels.shape}; each must be [rows, columns]")
+        raise ValueError(f"images: number {image_index} has the shape {pixels.shape}; each must be [rows, columns]")
     return np.ascontiguousarray(pixels)
 
 
-def _mask_unmapped_pixels(pixels: np.ndarray, maps: PixelMaps, number: int) -> np.ndarray:
-    """Return an image with NaN for pixels that the maps do not cover; `number` is for messages."""
+def _mask_unmapped_pixels(pixels: np.ndarray, maps: PixelMaps, image_index: int) -> np.ndarray:
+    """Return an image [row, column] with NaN where a map is NaN; the index of the image is for messages."""
     if pixels.shape != np.shape(maps.gain) or pixels.shape != np.shape(maps.offset_dn):
-        raise ValueError(f"maps: have the shape {np.shape(maps.gain)}, but image {number} has {pixels.shape}")
+        raise ValueError(f"maps: have the shape {np.shape(maps.gain)}, but image {image_index} has {pixels.shape}")
     return np.where(np.isfinite(maps.offset_dn) & np.isfinite(maps.gain), pixels, np.nan)
 
 
 def _build_design(fixed: dict[str, float], is_circular: bool, top_hat: bool, integrated: bool) -> FitDesign:
-    """Check the options of a fit and return its design."""
-    if unknown := set(fixed) - set(NAMES[:7]):
-        raise ValueError(f"fixed: {', '.join(sorted(unknown))} is none of {', '.join(NAMES[:7])}")
+    """Check the options of a fit, which are those of `fit_spots`, and return its design.
+
+    Raises ValueError for unknown parameters, impossible values, or options that exclude each other.
+    """
+    if unknown := set(fixed) - set(FITTED_NAMES):
+        raise ValueError(f"fixed: {', '.join(sorted(unknown))} is none of {', '.join(FITTED_NAMES)}")
     if is_circular and {"sigma_minor", "orientation"} & set(fixed):
         raise ValueError("fixed: a circular spot has one width, sigma_major, and no orientation")
     if integrated and (top_hat or "amplitude" in fixed):
@@ -179,24 +190,29 @@ def _build_design(fixed: dict[str, float], is_circular: bool, top_hat: bool, int
             raise ValueError(
                 f"fixed: {name} is {value!r}; give a finite number, and for a width at least {NARROWEST} px"
             )
-    free = np.array([name not in fixed for name in NAMES[:7]])
-    values = np.array([fixed.get(name, 0.0) for name in NAMES[:7]], dtype=float)
-    values[5] = np.radians(values[5])
+    free = np.array([name not in fixed for name in FITTED_NAMES])
+    fixed_values = np.array([fixed.get(name, 0.0) for name in FITTED_NAMES], dtype=float)
+    fixed_values[5] = np.radians(fixed_values[5])
     if is_circular:
+        # Minor width and orientation follow from the major width.
         free[4:6] = False
     if integrated:
         # The search fits the light as pixels read it, wider by the variance of a pixel.
-        values[3:5] = np.sqrt(values[3:5] ** 2 + spot.PIXEL_VARIANCE)
-    # θ is regular at a round spot, but widths can be fixed only as such.
+        fixed_values[3:5] = np.sqrt(fixed_values[3:5] ** 2 + spot.PIXEL_VARIANCE)
+    # θ is regular at a round spot and is preferred, but a fixed width or orientation is no element of θ.
     uses_widths = not bool(free.all())
-    return FitDesign(Parametrization(free, uses_widths, is_circular), values, top_hat, integrated)
+    return FitDesign(Parametrization(free, uses_widths, is_circular), fixed_values, top_hat, integrated)
 
 
 def _fit_image(pixels: np.ndarray, law: ReadingLaw, weighting: int, has_sensor: bool, design: FitDesign):
-    """Return point [7], covariance [free, free] and χ² per degree of freedom of one image; NaN without a root."""
+    """Fit one image [row, column] in DN.
+
+    Return the point [7], its covariance [free, free] and χ² per degree of freedom, all NaN without a fit. `weighting`
+    is `EQUAL` or `LIKELIHOOD`. With equal weights, χ² is under the sensor's noise, or NaN without a sensor.
+    """
     coordinates, top_hat = design.coordinates, design.top_hat
-    size = int(coordinates.free.sum())
-    failure = np.full(7, np.nan), np.full((size, size), np.nan), np.nan
+    free_count = int(coordinates.free.sum())
+    failure = np.full(7, np.nan), np.full((free_count, free_count), np.nan), np.nan
     point, has_light = estimate_start(pixels, law, top_hat)
     if not has_light:
         return failure
@@ -206,20 +222,24 @@ def _fit_image(pixels: np.ndarray, law: ReadingLaw, weighting: int, has_sensor: 
     point, information, chi2, used, is_root = run_fisher_scoring(pixels, point, weighting, law, top_hat, coordinates)
     if not is_root:
         return failure
-    covariance, degrees = invert_information(information), max(used - size, 1)
+    covariance, degrees_of_freedom = invert_information(information), max(used - free_count, 1)
     if weighting == EQUAL and has_sensor:
         # Sandwich covariance: equal weights, variances of the sensor.
         jacobian, theta = compute_jacobian(point, coordinates), compute_theta(point, coordinates)
         _, score_covariance, chi2, used = score_spot(pixels, theta, VARIANCE, law, top_hat)
         covariance = covariance @ (jacobian.T @ score_covariance @ jacobian) @ covariance
-        degrees = max(used - size, 1)
+        degrees_of_freedom = max(used - free_count, 1)
     elif weighting == EQUAL:
-        covariance, chi2 = covariance * chi2 / degrees, np.nan
-    return point, covariance, chi2 / degrees
+        # White noise as large as the residuals; χ² is their sum of squares here.
+        covariance, chi2 = covariance * chi2 / degrees_of_freedom, np.nan
+    return point, covariance, chi2 / degrees_of_freedom
 
 
 def invert_information(matrix: np.ndarray) -> np.ndarray:
-    """Return I(θ)⁻¹ of a positive definite matrix, scaled by its diagonal first: units differ by many powers of ten."""
+    """Return the inverse of a positive definite information matrix [n, n].
+
+    It is scaled by its diagonal first, since the units of parameters differ by many powers of ten.
+    """
     scale = 1 / np.sqrt(np.diag(matrix))
     return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
 
@@ -227,11 +247,17 @@ def invert_information(matrix: np.ndarray) -> np.ndarray:
 def _convert_to_parameters(
     points: np.ndarray, covariance: np.ndarray, chi2: np.ndarray, shapes: np.ndarray, design: FitDesign
 ) -> SpotFits:
-    """Return the fits from points [n, 7], their covariance [n, free, free], χ² [n] and shapes of the images [n, 2]."""
+    """Convert points of the search to the parameters of `SpotFits`, with errors, covariance and status.
+
+    `points` are [n, 7], `covariance` is that of their free coordinates [n, free, free], `chi2` is χ² per degree of
+    freedom [n], and `shapes` are rows and columns of the images [n, 2]. NaN without a fit.
+    """
     coordinates = design.coordinates
+    # Values [n, 7], and their derivatives by the coordinates of the point [n, parameter, coordinate].
     if coordinates.uses_widths:
         value, slopes = points.copy(), np.broadcast_to(np.eye(7), (len(points), 7, 7)).copy()
         if coordinates.is_circular:
+            # The minor width changes with the major one.
             slopes[:, 4, 3] = 1.0
         is_round = np.isfinite(points[:, 0]) & coordinates.is_circular
     else:
@@ -244,6 +270,7 @@ def _convert_to_parameters(
     mean_variance = (covariance[:, 3, 3] + covariance[:, 4, 4] + 2 * covariance[:, 3, 4]) / 4
     variance = np.concatenate([np.einsum("nii->ni", covariance), mean_variance[:, None]], axis=1)
     stderr = np.sqrt(np.maximum(variance, 0.0))
+    # The orientation of a round spot is undetermined.
     covariance[is_round, 5, :] = covariance[is_round, :, 5] = 0.0
     covariance[is_round, 5, 5] = stderr[is_round, 5] = np.inf
     value = np.append(value, value[:, 3:5].mean(axis=1, keepdims=True), axis=1)
@@ -256,41 +283,58 @@ def _convert_to_parameters(
 
 
 def _convert_theta_to_widths(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitude, centre, widths, orientation [rad] and offset of θ [n, 7], and their derivatives [n, 7, 7]."""
+    """Convert θ [n, 7] to widths, and return the derivatives of this conversion; NaN without a fit.
+
+    Returns
+    -------
+    value : array [n, 7]
+        Amplitude [DN], x0, y0 [px], major and minor width [px], orientation [rad] and offset [DN].
+    slopes : array [n, parameter, θ]
+        Derivatives of the values by the elements of θ.
+    """
     a, b, c = theta[:, 3], theta[:, 4], theta[:, 5]
-    half, mean = (a - c) / 2, (a + c) / 2
-    spread = np.hypot(half, b)
-    orientation = np.arctan2(-b, -half) / 2
-    u, v = np.cos(orientation), np.sin(orientation)
+    half_difference, mean = (a - c) / 2, (a + c) / 2
+    spread = np.hypot(half_difference, b)
+    # The long axis belongs to the smaller eigenvalue of the inverse covariance, hence the signs.
+    orientation = np.arctan2(-b, -half_difference) / 2
+    cos, sin = np.cos(orientation), np.sin(orientation)
     # Eigenvalues of the inverse covariance [1/px²] along the long and the short axis.
     eigenvalues = np.stack([mean - spread, mean + spread])
     value = theta.copy()
     value[:, 3:5], value[:, 5] = eigenvalues.T**-0.5, orientation
     slopes = np.broadcast_to(np.eye(7), (len(theta), 7, 7)).copy()
-    major_slopes, minor_slopes = np.stack([u * u, 2 * u * v, v * v]), np.stack([v * v, -2 * u * v, u * u])
+    # Derivatives of both eigenvalues by a, b, c.
+    major_slopes = np.stack([cos * cos, 2 * cos * sin, sin * sin])
+    minor_slopes = np.stack([sin * sin, -2 * cos * sin, cos * cos])
     slopes[:, 3, 3:6] = (-0.5 * eigenvalues[0] ** -1.5 * major_slopes).T
     slopes[:, 4, 3:6] = (-0.5 * eigenvalues[1] ** -1.5 * minor_slopes).T
-    orientation_slopes = np.stack([-u * v, u * u - v * v, u * v])
+    # A round spot has no direction: its slopes are huge, and its error of the orientation is set to infinity later.
+    orientation_slopes = np.stack([-cos * sin, cos * cos - sin * sin, cos * sin])
     slopes[:, 5, 3:6] = (orientation_slopes / -np.maximum(2 * spread, 1e-300)).T
     return value, slopes
 
 
 def _test_roundness(theta: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return whether (a − c)/2 and b of θ [n, 7] are 0 within their errors, which makes a spot round [n]."""
+    """Return whether each spot is round within its errors [n]; False without a fit.
+
+    A spot is round if (a − c)/2 and b of θ [n, 7] are 0 within their errors, by the covariance [n, 7, 7] of θ.
+    """
+    # Linear map from θ to (a − c)/2 and b.
     projection = np.zeros((2, 7))
     projection[0, 3], projection[0, 5], projection[1, 4] = 0.5, -0.5, 1.0
     is_fitted = np.isfinite(theta[:, 0])
     ellipticity = theta[is_fitted] @ projection.T
     weighted = np.linalg.solve(projection @ covariance[is_fitted] @ projection.T, ellipticity[..., None])[..., 0]
     is_round = np.zeros(len(theta), bool)
-    is_round[is_fitted] = np.einsum("ni,ni->n", ellipticity, weighted) < ROUND
+    is_round[is_fitted] = np.einsum("ni,ni->n", ellipticity, weighted) < ROUND_CHI2
     return is_round
 
 
 def _remove_pixel_variance(value: np.ndarray, slopes: np.ndarray) -> None:
-    """Replace widths by those of the light before integration over pixels, in place: σ² − 1/12 along each axis.
+    """Convert a spot as pixels read it to the light before integration over pixels, in place.
 
-    The peak grows as the area of the spot shrinks. `value` is [n, 7], `slopes` [n, 7, 7].
+    Each variance σ² of `value` [n, 7] becomes σ² − 1/12 px², and the amplitude grows as the area of the spot shrinks.
+    `slopes` [n, parameter, coordinate] are the derivatives of the values, which change with them.
     """
     sampled = value[:, 3:5].copy()
     light = np.sqrt(np.maximum(sampled**2 - spot.PIXEL_VARIANCE, LEAST_VARIANCE))
@@ -306,18 +350,26 @@ def _remove_pixel_variance(value: np.ndarray, slopes: np.ndarray) -> None:
 
 
 def _flag_fits(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Return flags [n]: not converged, or an amplitude, width or centre that the image cannot determine."""
+    """Return the flags of each fit [n], of which at most one is set; 0 for a fit that can be trusted.
+
+    The flag "not_converged" means that there are no values; "at_limit" that the image does not determine the amplitude,
+    a width or the centre. `value` and `stderr` are [n, 8], `shapes` the rows and columns of the images [n, 2].
+    """
     amplitude, x, y, major, minor = value[:, :5].T
     rows, columns = shapes.T
     with np.errstate(invalid="ignore"):
         is_trusted = (amplitude > 0) & (minor > NARROWEST_TRUSTED) & (major < shapes.max(axis=1))
         is_trusted &= (x >= -0.5) & (x <= columns - 0.5) & (y >= -0.5) & (y <= rows - 0.5)
-        is_trusted &= np.all(stderr[:, [0, 3, 4]] <= MAX_RELATIVE_ERROR * np.abs(value[:, [0, 3, 4]]), axis=1)
+        is_trusted &= np.all(stderr[:, SIZE_COLUMNS] <= MAX_RELATIVE_ERROR * np.abs(value[:, SIZE_COLUMNS]), axis=1)
     return np.where(np.isnan(amplitude), flag("not_converged"), np.where(is_trusted, 0, flag("at_limit")))
 
 
 def render_fit(value: np.ndarray, side: int, top_hat: bool = False) -> np.ndarray:
-    """Return the fitted spot [side, side] in DN for values in the order of `PARAMETERS`, relative to the crop."""
+    """Return the fitted spot in a crop [side, side] in DN.
+
+    `value` [8] are the parameters of one spot in the order of `SpotFits.parameters`, with the centre relative to the
+    crop. With `top_hat` the light is cut to a plateau.
+    """
     amplitude, x, y, major, minor, orientation, offset, _ = value
     pixel = np.arange(side, dtype=float)
     light = spot.elliptical_gaussian(

@@ -1,4 +1,8 @@
-"""The law of a spot's width and peak over exposure time: p1 and p2 by regression, and the peak from the maxima."""
+"""The law of a spot's width and peak over exposure time: p1 and p2 by regression, and the peak from the maxima.
+
+The baseline (`Baseline`) is the model of the light that the instrument file declares. A site is a place on the sensor
+with frames at several exposure times; the maximum of a frame is its largest reading.
+"""
 
 from typing import Any, NamedTuple
 
@@ -11,6 +15,8 @@ from spotcheck.sensor import ReadingDistribution, SensorModel
 
 # A mean maximum above this fraction of full scale counts as clipped.
 CLIPPED_FRACTION = 0.995
+# The peak is sought within this factor of the mean maximum, to this accuracy [DN].
+SEARCH_FACTOR, PEAK_TOLERANCE_DN = 8, 1e-3
 
 
 class WidthLaw(NamedTuple):
@@ -21,7 +27,7 @@ class WidthLaw(NamedTuple):
     peak: float  # peak of the Gaussian at the longest exposure [DN]
 
     def spot_at(self, baseline: Baseline, exposure_s) -> tuple[Any, Any]:
-        """Return the peak [DN] and σ_g [px] at exposure times [s]."""
+        """Return the peak [DN] and σ_g [px] at exposure times [s], both in the shape of the times."""
         peak = self.peak * baseline.relative_peak(exposure_s, self.p1, self.p2)
         return peak, baseline.sigma(exposure_s, self.p1, self.p2)
 
@@ -31,16 +37,21 @@ def regress_widths(width_px: np.ndarray, exposure_s: np.ndarray, laser_px: float
 
     Parameters
     ----------
-    width_px : fitted widths [..., exposure] in px; NaN where there is none. Sites with fewer than two give NaN.
-    exposure_s : exposure times [exposure] in s.
+    width_px : fitted widths σ̄ [..., exposure] in px, one row for each site; NaN without a fit.
+    exposure_s : exposure times t [exposure] in s.
     laser_px : the laser's own width on the sensor, M σ_la/s_px [px].
+
+    Returns
+    -------
+    p1, p2 : arrays [...]
+        NaN for a site with fewer than two widths.
     """
-    sites = width_px.reshape(-1, len(exposure_s))
-    lines = np.full((len(sites), 2), np.nan)
-    for k, widths in enumerate(sites):
-        known = np.isfinite(widths)
-        if known.sum() >= 2:
-            lines[k] = np.polyfit(np.log(exposure_s[known]), widths[known] - laser_px, 1)
+    site_widths = width_px.reshape(-1, len(exposure_s))
+    lines = np.full((len(site_widths), 2), np.nan)
+    for k, widths in enumerate(site_widths):
+        is_known = np.isfinite(widths)
+        if is_known.sum() >= 2:
+            lines[k] = np.polyfit(np.log(exposure_s[is_known]), widths[is_known] - laser_px, 1)
     shape = width_px.shape[:-1]
     return lines[:, 0].reshape(shape), lines[:, 1].reshape(shape)
 
@@ -55,15 +66,18 @@ def find_peak(
 
     Parameters
     ----------
-    baseline, p1, p2 : model and law of the width [px].
-    exposure_s, maximum : exposure times [s] and mean maxima of their frames [DN], NaN where there is none.
-    sensor : model of the sensor; without it the maximum of the light is compared.
+    baseline : model of the light.
+    p1, p2 : parameters of the width law [px]; with NaN the result is NaN.
+    exposure_s, maximum : exposure times [exposure] in s, and the mean of the maxima of their frames in DN; NaN without
+        a frame.
+    sensor : model of the sensor; if None, the maximum of the light without noise is compared.
     side : rows and columns of the simulated images [px].
 
     Returns
     -------
     float
-        The peak; NaN if no exposure is left or no peak explains the maxima.
+        Peak of the Gaussian [DN]; NaN if no exposure is left, or if no peak within a factor of eight of the mean
+        maximum explains the maxima.
     """
     exposure_s, maximum = np.asarray(exposure_s, float), np.asarray(maximum, float)
     ceiling = sensor.full_scale_dn if sensor else np.inf
@@ -73,7 +87,7 @@ def find_peak(
     is_used &= exposure_s >= np.median(exposure_s[is_used])
 
     def excess(peak: float) -> float:
-        """Sum over exposures of simulated less measured maximum [DN]."""
+        """Return the sum over exposures of simulated less measured maximum [DN]; it grows with the peak [DN]."""
         total = 0.0
         for t, measured in zip(exposure_s[is_used], maximum[is_used], strict=True):
             light = render_spot(baseline, WidthLaw(p1, p2, peak), t, side)
@@ -82,23 +96,24 @@ def find_peak(
         return total
 
     guess = float(np.average(maximum[is_used]))
-    low, high = guess / 8, guess * 8
+    low, high = guess / SEARCH_FACTOR, guess * SEARCH_FACTOR
     if not excess(low) < 0 < excess(high):
         return np.nan
-    return float(brentq(excess, low, high, xtol=1e-3))
+    return float(brentq(excess, low, high, xtol=PEAK_TOLERANCE_DN))
 
 
 def render_spot(baseline: Baseline, law: WidthLaw, exposure_s: float, side: int) -> np.ndarray:
-    """Return the light [side, side] in DN of a centred spot of the law at an exposure time [s]."""
+    """Return the light [side, side] in DN of a centred spot of the law at one exposure time [s]."""
     pixel = np.arange(side, dtype=float)
     peak, sigma = law.spot_at(baseline, exposure_s)
     return baseline.declared_light(pixel[None, :], pixel[:, None], peak, side // 2, side // 2, sigma)
 
 
 def fit_simulated_widths(baseline: Baseline, law: WidthLaw, exposure_s, side: int) -> np.ndarray:
-    """Return the widths σ̄ [px] that the spot fit finds in mean images of the model, one for each exposure time [s].
+    """Return the widths σ̄ [exposure] in px that the spot fit finds in noise-free images of the model.
 
-    A Gaussian fitted to a top hat is some 4 % wider than the Gaussian under it, so the fit does not return its input.
+    The images are [side, side], one for each of `exposure_s` [exposure] in s. A Gaussian fitted to a top hat is some
+    4 % wider than the Gaussian under it, so the fit does not return the simulated width.
     """
     light = (render_spot(baseline, law, t, side) for t in exposure_s)
     return fit_spots(light, weighting="equal", integrated=baseline.pixel_integration).sigma_mean

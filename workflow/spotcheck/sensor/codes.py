@@ -1,6 +1,6 @@
 """Probability of each code under Poisson electrons, compiled, and the cumulants that follow from it.
 
-Arrays have an axis of mean numbers of electrons, [mean], and one of codes, [code].
+A code is a whole reading in DN. Arrays have an axis of mean numbers of electrons, [mean], and one of codes, [code].
 """
 
 import math
@@ -36,55 +36,78 @@ class Cumulants(NamedTuple):
 
 
 class CodeProbabilities(NamedTuple):
-    """Probability of the codes [DN] from `first_code` on at each of some mean numbers of electrons.
+    """Probability of the codes from `first_code` on at each of some mean numbers of electrons.
 
     All codes that occur are included, so that each row of `probability` sums to 1.
     """
 
-    first_code: int
-    probability: np.ndarray  # [mean, code]
-    slope: np.ndarray  # derivative of the probability by the mean number of electrons [mean, code, 1/e-]
+    first_code: int  # code of the first column [DN]
+    probability: np.ndarray  # probability of each code [mean, code]
+    slope: np.ndarray  # derivative of the probability by the mean number of electrons [mean, code] in 1/e-
 
     @property
     def codes(self) -> np.ndarray:
-        """Codes [DN] of the columns."""
+        """Code of each column [code] in DN."""
         return self.first_code + np.arange(self.probability.shape[1])
 
     def score(self) -> np.ndarray:
-        """Return ∂ ln P/∂ν by the mean electrons ν [mean, code, 1/e-]; NaN where P is 0 or too small for the ratio."""
+        """Return the score ∂ ln P/∂ν [mean, code] in 1/e-, where ν are the mean electrons.
+
+        It is NaN where P is 0 or too small for the ratio.
+        """
         is_possible = self.probability > 1e-300
         return np.where(is_possible, self.slope, np.nan) / np.where(is_possible, self.probability, 1.0)
 
     def cumulants(self, gain_dn_per_e: float = 1.0) -> Cumulants:
-        """Return the cumulants of readings at each mean; the gain turns slopes by electrons into those by the light."""
+        """Return the cumulants of readings at each mean.
+
+        `gain_dn_per_e` converts slopes by electrons to slopes by the light [DN]; with 1 they are by electrons.
+        """
         mean = self.probability @ self.codes
         deviation = self.codes - mean[:, None]
         square = deviation**2
         powers = square, square * deviation, square**2
-        second, third, fourth = ((self.probability * power).sum(axis=1) for power in powers)
+        variance, third, fourth = ((self.probability * power).sum(axis=1) for power in powers)
         mean_slope, variance_slope = ((self.slope * power).sum(axis=1) / gain_dn_per_e for power in (deviation, square))
         information = np.nansum(self.slope * self.score(), axis=1) / gain_dn_per_e**2
-        return Cumulants(mean, second, third, fourth - 3 * second**2, mean_slope, variance_slope, information)
+        return Cumulants(mean, variance, third, fourth - 3 * variance**2, mean_slope, variance_slope, information)
 
 
 @compiled
 def find_possible_counts(mean_e):
-    """Return the lowest and the highest number of electrons that a Poisson mean [e-] gives."""
+    """Return the lowest and the highest number of electrons that a Poisson distribution of one mean [e-] can give.
+
+    Numbers beyond `NOISE_SD` standard deviations and `POISSON_MARGIN` are left out.
+    """
     half_width = NOISE_SD * math.sqrt(mean_e) + POISSON_MARGIN
     return max(math.floor(mean_e - half_width), 0), math.ceil(mean_e + half_width)
 
 
-def integrate_read_noise(signal: np.ndarray, noise: float, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first code of each signal [signal] and the probability of the codes from it on [signal, code].
+def integrate_read_noise(signal: np.ndarray, noise_sd: float, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest code that each signal can give with read noise, and the probabilities of the codes from it on.
 
-    A code is at most k if signal plus noise lie below `edges[k]` [DN], increasing, and at most len(edges) in any case.
-    `noise` is the standard deviation of the Gaussian read noise [DN], above 0.
+    Codes are counted from 0 here: code k has signals plus noise from `edges[k − 1]` to `edges[k]`, and code len(edges)
+    has no upper end.
+
+    Parameters
+    ----------
+    signal : signals without read noise [signal] in DN.
+    noise_sd : standard deviation of the Gaussian read noise [DN], above 0.
+    edges : upper ends of the codes [code] in DN, increasing.
+
+    Returns
+    -------
+    first : array [signal]
+        Lowest code.
+    probability : array [signal, code]
+        Probabilities of the codes from the lowest one on. Each row sums to 1.
     """
-    first = np.searchsorted(edges, signal - NOISE_SD * noise)
-    last = np.searchsorted(edges, signal + NOISE_SD * noise)
-    width = int(np.max(last - first)) + 1
-    padded = np.concatenate([edges, np.full(width, np.inf)])
-    distance = (padded[first[:, None] + np.arange(width)] - signal[:, None]) / noise
+    first = np.searchsorted(edges, signal - NOISE_SD * noise_sd)
+    last = np.searchsorted(edges, signal + NOISE_SD * noise_sd)
+    code_count = int(np.max(last - first)) + 1
+    padded_edges = np.concatenate([edges, np.full(code_count, np.inf)])
+    # Distance of the upper end of each code from the signal, in standard deviations [signal, code].
+    distance = (padded_edges[first[:, None] + np.arange(code_count)] - signal[:, None]) / noise_sd
     below, above = ndtr(distance), ndtr(-distance)
     # Differences of the smaller tail keep the digits of small probabilities.
     inner = np.where(distance[:, 1:] < 0, below[:, 1:] - below[:, :-1], above[:, :-1] - above[:, 1:])
@@ -93,22 +116,29 @@ def integrate_read_noise(signal: np.ndarray, noise: float, edges: np.ndarray) ->
 
 @compiled
 def sum_over_electrons(mean_e, lowest_count, first, band, first_code, probability, slope):
-    """Fill the probability of each code and its slope by the mean, both [mean, code] and 0 before.
+    """Add, for each code, the Poisson-weighted sum over electrons to `probability`, and its derivative to `slope`.
 
-    mean_e [mean, e-], at least 0; `first` and `band` say for each number of electrons from `lowest_count` on which
-    code is the first and how probable the codes from it on are; columns start at `first_code`.
+    Parameters
+    ----------
+    mean_e : means of the Poisson distribution [mean] in e-, at least 0.
+    lowest_count : number of electrons of the first row of `first` and `band`.
+    first : code of the first column of `band` for each number of electrons [count].
+    band : probabilities of the codes from `first` on, given the number of electrons [count, code].
+    first_code : code of the first column of the results.
+    probability, slope : results [mean, code], which are added to; the slope is by the mean, in 1/e-.
     """
     for i in range(mean_e.size):
         mean = mean_e[i]
         low, high = find_possible_counts(mean)
+        # Poisson probability of `count`; its derivative by the mean is that of one electron less minus it.
         weight = math.exp((low * math.log(mean) if low > 0 else 0.0) - mean - math.lgamma(low + 1.0))
-        before = 0.0
+        previous_weight = 0.0
         for count in range(low, high + 1):
             row = count - lowest_count
-            rise = before - weight
+            weight_slope = previous_weight - weight
             column = first[row] - first_code
             for j in range(band.shape[1]):
                 probability[i, column + j] += weight * band[row, j]
-                slope[i, column + j] += rise * band[row, j]
-            before = weight
+                slope[i, column + j] += weight_slope * band[row, j]
+            previous_weight = weight
             weight *= mean / (count + 1.0)

@@ -2,6 +2,9 @@
 
 Order of the chain (dataset contract): Poisson electrons of light and dark current → + smear → full well → gain K →
 charge → + read noise → response → black level → digital → one rounding → 0 … full scale.
+
+A code is a whole reading in DN. A signal is K times electrons, in DN without black level. A band holds the probability
+of the codes from a first one on, which differs from row to row.
 """
 
 from __future__ import annotations
@@ -26,21 +29,23 @@ from spotcheck.sensor.codes import (
     sum_over_electrons,
 )
 from spotcheck.sensor.response import apply_curvature, remove_curvature
-from spotcheck.sensor.sampling import NO_NUMBER, sample_from_tables
+from spotcheck.sensor.sampling import NAN_LIGHT, sample_from_tables
 from spotcheck.sensor.table import ReadingMoments, ReadingTable, tabulate_readings
 
 if TYPE_CHECKING:
     from spotcheck.sensor.model import SensorModel
 
-# A function signal [DN] → signal [DN] that never decreases. Two that compare equal are taken for the same.
+# A function signal [DN] → signal [DN] that never decreases. Results are cached for functions that compare equal.
 Transfer = Callable[[np.ndarray], np.ndarray]
 
 # Steps of the bisection that inverts a response: each halves the interval.
 BISECTIONS = 80
-# Signals whose codes are averaged at a time.
+# Signals whose codes are averaged at a time, which limits memory.
 SIGNALS = 8192
-# Pixels from which on tables pay for a call of `sample`.
+# From so many pixels on, `sample` is faster with tables.
 FEWEST_FOR_TABLES = 4096
+# Step of the derivative for light below 0, in standard deviations of the read noise.
+NEGATIVE_LIGHT_STEP = 1e-4
 # Mean numbers of electrons that are summed at a time; they share the probabilities of codes given the electrons.
 BLOCK = 64
 # Standard deviations of the electrons that one such block may span.
@@ -134,44 +139,51 @@ class ReadingDistribution:
         """Return all cumulants, their slopes and the information at light [DN] in one pass, in the light's shape."""
         light = np.asarray(light, float)
         mean_e, index = np.unique(self.mean_electrons(light), return_inverse=True)
-        out = np.empty((len(Cumulants._fields), mean_e.size))
-        for part in _blocks(mean_e):
-            out[:, part] = self.probabilities(mean_e[part]).cumulants(self.sensor.gain_dn_per_e)
-        return Cumulants(*out[:, index.reshape(light.shape)])
+        cumulants = np.empty((len(Cumulants._fields), mean_e.size))
+        for block in _split_into_blocks(mean_e):
+            cumulants[:, block] = self.probabilities(mean_e[block]).cumulants(self.sensor.gain_dn_per_e)
+        return Cumulants(*cumulants[:, index.reshape(light.shape)])
 
     def moments(self, light: np.ndarray) -> ReadingMoments:
-        """Return mean, variance and their slopes at light [DN], an increasing array from 0 on.
+        """Return mean, variance and their slopes at light [DN], an increasing 1-D array of values from 0 on.
 
         They follow from the moments of a reading given the electrons, which is many times faster than all codes.
         """
         mean_e = self.mean_electrons(light)
         signal = self.charge_signal(np.arange(find_possible_counts(mean_e[-1])[1] + 1.0))
         given_counts = self._moments_given_signal(signal)
-        given_stop = self._moments_given_signal(np.minimum([level for _, level in self.charge_levels], signal[-1]))
-        out = np.empty((4, mean_e.size))
-        for part in _blocks(mean_e):
-            low, high = find_possible_counts(mean_e[part][0])[0], find_possible_counts(mean_e[part][-1])[1]
+        # Moments of a reading whose charge stops at each charge level.
+        given_level = self._moments_given_signal(np.minimum([level for _, level in self.charge_levels], signal[-1]))
+        # Mean, variance, and their slopes by the mean electrons.
+        moments = np.empty((4, mean_e.size))
+        for block in _split_into_blocks(mean_e):
+            low, high = find_possible_counts(mean_e[block][0])[0], find_possible_counts(mean_e[block][-1])[1]
             # Powers about the middle of the block keep the digits of small variances.
             middle = given_counts[0, (low + high) // 2]
-            band, stopped = (
+            # Powers 0, 1 and 2 of reading − middle, as columns.
+            powers, level_powers = (
                 np.stack([np.ones(mean.size), mean - middle, variance + (mean - middle) ** 2], axis=1)
-                for mean, variance in (given_counts[:, low : high + 1], given_stop)
+                for mean, variance in (given_counts[:, low : high + 1], given_level)
             )
-            sums = self._sum_over_counts(mean_e[part], low, np.zeros(len(band), np.int64), band, stopped)
-            (total, shift, square), (total_rise, shift_rise, square_rise) = np.moveaxis(sums, 2, 1)
+            sums = self._sum_over_counts(mean_e[block], low, np.zeros(len(powers), np.int64), powers, level_powers)
+            (total, shift, square), (total_slope, shift_slope, square_slope) = np.moveaxis(sums, 2, 1)
+            # The weights sum to `total`, which is 1 up to rounding.
             shift, square = shift / total, square / total
-            slope = (shift_rise - shift * total_rise) / total
-            square_slope = (square_rise - square * total_rise) / total
-            out[:, part] = middle + shift, square - shift**2, slope, square_slope - 2 * shift * slope
-        return ReadingMoments(out[0], out[1], *(out[2:] / self.sensor.gain_dn_per_e))
+            shift_slope = (shift_slope - shift * total_slope) / total
+            square_slope = (square_slope - square * total_slope) / total
+            moments[:, block] = middle + shift, square - shift**2, shift_slope, square_slope - 2 * shift * shift_slope
+        return ReadingMoments(moments[0], moments[1], *(moments[2:] / self.sensor.gain_dn_per_e))
 
     def expected_maximum(self, light: ArrayLike) -> float:
-        """Return the mean of the largest reading [DN] of independent pixels at light [DN]: Σ_k [1 − Π P(at most k)]."""
+        """Return the mean of the largest reading [DN] of independent pixels at light [DN]: Σ_k [1 − Π P(at most k)].
+
+        The sum runs over codes k, the product over pixels; `light` is an array of any shape.
+        """
         light, count = np.unique(light, return_counts=True)
         codes = self.probabilities(self.mean_electrons(light[-1:])).codes
-        # Pixels that always read less than the brightest one have no say.
-        at = self.tabulate(float(light[-1])).moments(light)
-        is_near = at.mean + NOISE_SD * np.sqrt(np.maximum(at.variance, 0.0)) + 1 >= codes[0]
+        # Pixels that always read less than the brightest one do not change the maximum.
+        moments = self.tabulate(float(light[-1])).moments(light)
+        is_near = moments.mean + NOISE_SD * np.sqrt(np.maximum(moments.variance, 0.0)) + 1 >= codes[0]
         with np.errstate(divide="ignore"):
             log_at_most = np.log(self.cdf(codes[:-1, None], light[is_near])) @ count[is_near]
         return float(codes[0] - np.expm1(log_at_most).sum())
@@ -179,9 +191,10 @@ class ReadingDistribution:
     # Other forms.
 
     def tabulate(self, light_max: float) -> ReadingTable:
-        """Return mean, variance, slopes and information as a table up to a light [DN], for millions of pixels.
+        """Return mean, variance, slopes and information as a table over the light up to `light_max` [DN].
 
-        The table goes at least that far: `light_max` is rounded up to a power of two, so that images share tables.
+        It serves to evaluate millions of pixels. The table goes at least that far: `light_max` is rounded up to a power
+        of two, so that images share tables.
         """
         return tabulate_readings(self, 2.0 ** np.ceil(np.log2(max(light_max, 1.0))))
 
@@ -212,18 +225,18 @@ class ReadingDistribution:
         pixels, or for few pixels, the chain is drawn step by step.
         """
         light = np.asarray(light, float)
-        values = (smear_e, charge_level, offset_dn)
-        has_no_values = all(np.isscalar(value) for value in values) and values == (0.0, np.inf, 0.0)
-        if has_no_values and not self.charge_levels and light.size >= FEWEST_FOR_TABLES:
+        pixel_values = (smear_e, charge_level, offset_dn)
+        are_pixels_alike = all(np.isscalar(value) for value in pixel_values) and pixel_values == (0.0, np.inf, 0.0)
+        if are_pixels_alike and not self.charge_levels and light.size >= FEWEST_FOR_TABLES:
             return sample_from_tables(self, light, rng)
         if np.isnan(np.min(light, initial=0.0)):
-            raise ValueError(NO_NUMBER)
-        return self.sample_steps(light, rng, *values)
+            raise ValueError(NAN_LIGHT)
+        return self.sample_steps(light, rng, *pixel_values)
 
     def sample_steps(
         self, light: np.ndarray, rng: np.random.Generator, smear_e=0.0, charge_level=np.inf, offset_dn=0.0
     ) -> np.ndarray:
-        """Draw the chain step by step in numpy; arguments as for `sample`."""
+        """Return random readings [DN, uint16] by drawing the chain step by step; arguments as for `sample`."""
         electrons = rng.poisson(np.minimum(self.mean_electrons(np.maximum(light, 0.0)), MOST_ELECTRONS))
         if self.charge_levels:
             shares, charge_levels = np.transpose(self.charge_levels)
@@ -241,18 +254,21 @@ class ReadingDistribution:
         return self.sensor.gain_dn_per_e * self.sensor.read_noise_e
 
     def mean_electrons(self, light):
-        """Return the mean electrons of light [DN] and dark current [e-]."""
+        """Return the mean electrons [e-] of light [DN] and dark current, in the shape of the light."""
         return light / self.sensor.gain_dn_per_e + self.sensor.dark_current_e_per_s * self.exposure_s
 
     def charge_signal(self, electrons):
-        """Return the signal [DN] before read noise of a number of electrons, `self.smear_e` not counted."""
+        """Return the signal [DN] before read noise of a number of electrons [e-], to which `self.smear_e` is added."""
         signal = self.sensor.gain_dn_per_e * np.minimum(electrons + self.smear_e, self.sensor.full_well_e)
         for transfer in self.charge:
             signal = transfer(signal)
         return signal
 
     def converter_signal(self, signal, offset_dn=0.0):
-        """Return what is rounded [DN] of a signal [DN] with its read noise."""
+        """Return the value [DN with black level] that is rounded to the reading, from a signal [DN] with read noise.
+
+        `offset_dn` is added behind the response.
+        """
         signal = apply_curvature(signal, self.sensor.curvature)
         for transfer in self.response:
             signal = transfer(signal)
@@ -264,9 +280,13 @@ class ReadingDistribution:
     # Sums.
 
     def probabilities(self, mean_e: np.ndarray) -> CodeProbabilities:
-        """Return the probability of all codes at means [mean, e-], sorted and either all below 0 or none."""
+        """Return the probability of all codes at mean electrons [mean] in e-.
+
+        The means must be sorted, and either all below 0 or none.
+        """
         if mean_e[0] < 0:
             return self._probabilities_below_zero(mean_e)
+        # Numbers of electrons that occur, and the band of codes of each.
         low, high = find_possible_counts(mean_e[0])[0], find_possible_counts(mean_e[-1])[1]
         first, band = self._pmf_given_signal(self.charge_signal(np.arange(low, high + 1.0)))
         lowest, end = int(first.min()), int(first.max()) + band.shape[1]
@@ -285,36 +305,47 @@ class ReadingDistribution:
     def _sum_over_counts(
         self, mean_e: np.ndarray, low: int, first: np.ndarray, band: np.ndarray, stopped: np.ndarray
     ) -> np.ndarray:
-        """Return averages over the Poisson distribution of electrons and their slopes by its mean [2, mean, column].
+        """Return sums of values over the Poisson distribution of electrons, and their slopes [2, mean, column].
 
-        Values to average are given for each number of electrons from `low` on: `band` [count, …], from column `first`
-        [count] on, for pixels whose charge does not stop; `stopped` [charge level, column] for the others.
+        The sums are weighted with the probability of each number of electrons. These weights sum to 1 up to rounding.
+        Slopes are derivatives by the mean of the distribution, in 1/e-.
+
+        Parameters
+        ----------
+        mean_e : means of the distribution [mean] in e-, increasing.
+        low : number of electrons of the first row of `band`.
+        first : column of the result at which each row of `band` begins [count].
+        band : values for each number of electrons of a pixel whose charge does not stop [count, …].
+        stopped : values of a pixel whose charge stops at each charge level [charge level, column].
         """
         shares, levels = np.array(self.charge_levels).reshape(-1, 2).T
-        # From so many electrons on the charge of a pixel stops at its charge level.
+        # Smallest number of electrons whose charge exceeds each level [charge level].
         stop = np.searchsorted(self.charge_signal(np.arange(low + len(band) + 0.0)), levels, side="right")
         band = band * (1 - shares @ (low + np.arange(len(band)) >= stop[:, None]))[:, None]
-        out = np.zeros((2, mean_e.size, stopped.shape[1]))
-        sum_over_electrons(np.ascontiguousarray(mean_e), low, first, band, 0, *out)
-        out[0] += np.where(stop > 0, pdtrc(stop - 1.0, mean_e[:, None]), 1.0) @ (shares[:, None] * stopped)
-        # d P(at least n)/dµ = P(n − 1).
-        out[1] += np.where(stop > 0, poisson.pmf(stop - 1.0, mean_e[:, None]), 0.0) @ (shares[:, None] * stopped)
-        return out
+        sums, slopes = result = np.zeros((2, mean_e.size, stopped.shape[1]))
+        # Adds to both arrays, whose columns begin at code 0.
+        sum_over_electrons(np.ascontiguousarray(mean_e), low, first, band, 0, sums, slopes)
+        # The probability of `stop` electrons or more, and its derivative P(stop − 1).
+        sums += np.where(stop > 0, pdtrc(stop - 1.0, mean_e[:, None]), 1.0) @ (shares[:, None] * stopped)
+        slopes += np.where(stop > 0, poisson.pmf(stop - 1.0, mean_e[:, None]), 0.0) @ (shares[:, None] * stopped)
+        return result
 
     def _moments_given_signal(self, signal: np.ndarray) -> np.ndarray:
-        """Return mean and variance of a reading given its signal before read noise [2, signal]."""
-        out = np.empty((2, signal.size))
+        """Return mean [DN] and variance [DN²] of a reading given its signal before read noise [2, signal]."""
+        moments = np.empty((2, signal.size))
         for start in range(0, signal.size, SIGNALS):
-            first, band = self._pmf_given_signal(signal[start : start + SIGNALS])
-            index = np.arange(band.shape[1])
-            mean = band @ index
-            out[0, start : start + SIGNALS] = first + mean
-            out[1, start : start + SIGNALS] = np.sum(band * (index - mean[:, None]) ** 2, axis=1)
-        return out
+            part = slice(start, start + SIGNALS)
+            first, band = self._pmf_given_signal(signal[part])
+            column = np.arange(band.shape[1])
+            # Relative to the first code.
+            mean = band @ column
+            moments[0, part] = first + mean
+            moments[1, part] = np.sum(band * (column - mean[:, None]) ** 2, axis=1)
+        return moments
 
     def _probabilities_below_zero(self, mean_e: np.ndarray) -> CodeProbabilities:
-        """As `probabilities`, for light below 0: read noise alone, and its own slope."""
-        step = 1e-4 * self.sensor.read_noise_e
+        """As `probabilities`, for means below 0: the reading has read noise alone; slopes are finite differences."""
+        step = NEGATIVE_LIGHT_STEP * self.sensor.read_noise_e
         first, band = self._pmf_given_signal(self.charge_signal(np.concatenate([mean_e, mean_e - step, mean_e + step])))
         lowest = int(first.min())
         columns = _fill_columns(first - lowest, band, int(first.max()) + band.shape[1] - lowest)
@@ -322,18 +353,21 @@ class ReadingDistribution:
         return CodeProbabilities(lowest, probability, (after - before) / (2 * step) if step else 0 * probability)
 
     def _pmf_given_signal(self, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first code of each signal [signal, DN], and the probability of those from it on [signal, code]."""
-        lowest, edges = self._edges(signal)
+        """Return the first code [signal] and the band of probabilities [signal, code] for signals [signal] in DN.
+
+        The signals are without read noise. The band holds the probabilities of the codes from the first one on.
+        """
+        lowest, edges = self._find_code_edges(signal)
         if self.noise_dn == 0:
             codes = np.clip(np.rint(self.converter_signal(signal)), lowest, lowest + edges.size).astype(np.int64)
             return codes, np.ones((signal.size, 1))
         first, band = integrate_read_noise(signal, self.noise_dn, edges)
         return first + lowest, band
 
-    def _edges(self, signal: np.ndarray) -> tuple[int, np.ndarray]:
-        """Return the lowest code that signals and their noise reach, and the signal below which each code ends [DN].
+    def _find_code_edges(self, signal: np.ndarray) -> tuple[int, np.ndarray]:
+        """Return the lowest code that signals with read noise reach, and the signal at which each code ends [DN].
 
-        The highest code that they reach has no end.
+        The edges [code] begin with that of the lowest code and leave out that of the highest code, which has no end.
         """
         half_width = NOISE_SD * self.noise_dn
         low, high = float(np.min(signal)) - half_width, float(np.max(signal)) + half_width
@@ -344,32 +378,35 @@ class ReadingDistribution:
             return int(codes[0]), invert_transfer(self.converter_signal, ends, low, high)
         curvature, response = self.sensor.curvature, ends - self.sensor.black_level_dn
         edges = remove_curvature(response, curvature)
+        # A response beyond the extremum 1/(4 curvature) is reached by no signal, or by all for a negative curvature.
         return int(codes[0]), np.where(response * curvature >= 0.25, np.copysign(np.inf, curvature), edges)
 
     def _at_readings(
         self, reading: ArrayLike, light: ArrayLike, values_of: Callable, outside: tuple[float, float]
     ) -> np.ndarray:
-        """Return values at readings, in the shape of reading and light.
+        """Return values at readings [DN] and light [DN], which broadcast.
 
-        `values_of` turns `CodeProbabilities` into values [mean, code]; `outside` holds those below and above all codes.
+        `values_of` computes values [mean, code] from `CodeProbabilities`. `outside` are the values for readings below
+        and above all codes.
         """
         reading, light = np.broadcast_arrays(np.asarray(reading), np.asarray(light, float))
         mean_e, index = np.unique(self.mean_electrons(light), return_inverse=True)
         index = index.reshape(light.shape)
-        out = np.zeros(light.shape)
-        for part in _blocks(mean_e):
-            codes = self.probabilities(mean_e[part])
-            is_here = (index >= part.start) & (index < part.stop)
+        result = np.zeros(light.shape)
+        for block in _split_into_blocks(mean_e):
+            codes = self.probabilities(mean_e[block])
+            is_in_block = (index >= block.start) & (index < block.stop)
             values = np.pad(values_of(codes), ((0, 0), (1, 1)), constant_values=((0, 0), outside))
-            column = np.clip(np.floor(reading[is_here]) - codes.first_code + 1, 0, values.shape[1] - 1)
-            out[is_here] = values[index[is_here] - part.start, column.astype(np.int64)]
-        return out[()]
+            column = np.clip(np.floor(reading[is_in_block]) - codes.first_code + 1, 0, values.shape[1] - 1)
+            result[is_in_block] = values[index[is_in_block] - block.start, column.astype(np.int64)]
+        return result[()]
 
 
 def invert_transfer(transfer: Transfer, targets: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return the signal from `low` to `high` from which on a transfer reaches each target [DN].
+    """Return the signal [target] in DN from which on a transfer reaches each of `targets` [target] in DN.
 
-    -inf where it does so at `low` already, inf where it does not even at `high`.
+    Signals are sought from `low` to `high` [DN]. The result is -inf where the transfer reaches the target at `low`
+    already, and inf where it does not reach it at `high`.
     """
     below, above = np.full(targets.shape, low), np.full(targets.shape, high)
     is_certain, is_possible = transfer(below) >= targets, transfer(above) >= targets
@@ -380,8 +417,11 @@ def invert_transfer(transfer: Transfer, targets: np.ndarray, low: float, high: f
     return np.select([is_certain, ~is_possible], [-np.inf, np.inf], above)
 
 
-def _blocks(mean_e: np.ndarray) -> Iterator[slice]:
-    """Yield parts of means in increasing order [e-] that are summed at a time."""
+def _split_into_blocks(mean_e: np.ndarray) -> Iterator[slice]:
+    """Yield slices of increasing means [mean] in e- that are summed at a time.
+
+    A block has at most `BLOCK` means within `BLOCK_SPAN` standard deviations, and either all are below 0 or none.
+    """
     start = 0
     while start < mean_e.size:
         low = mean_e[start]
@@ -392,7 +432,7 @@ def _blocks(mean_e: np.ndarray) -> Iterator[slice]:
 
 
 def _fill_columns(first: np.ndarray, band: np.ndarray, size: int) -> np.ndarray:
-    """Return an array [row, column] of `size` columns that has the band [row, …] from column `first` [row] on."""
+    """Return an array [row, column] of `size` columns that holds the band [row, …] from column `first` [row] on."""
     columns = np.zeros((first.size, size))
     np.put_along_axis(columns, first[:, None] + np.arange(band.shape[1]), band, axis=1)
     return columns

@@ -1,4 +1,8 @@
-"""The linear camera model of EMVA 1288 with a curved response: its parameters, and how readings are linearized."""
+"""The linear camera model of EMVA 1288 with a curved response: its parameters, and how readings are linearized.
+
+Photons fall on a pixel, electrons are what it collects, and the light is K times the mean photo-electrons: the signal
+[DN] without black level and dark current. Equations are those of the paper unless EMVA 1288 is named.
+"""
 
 from __future__ import annotations
 
@@ -58,17 +62,17 @@ class SensorModel:
 
     @property
     def curvature(self) -> float:
-        """Curvature of the response [1/DN]."""
+        """Curvature of the response [1/DN]: a signal y [DN] above black is read as y − curvature · y²."""
         return self.response_bend / self.full_scale_dn
 
     def without_curvature(self) -> SensorModel:
-        """Return the sensor of `linearize`d readings: the same, with a linear response."""
+        """Return the sensor to which readings belong after `linearize`: the same, with a linear response."""
         if not self.curvature:
             return self
         return replace(self, response_bend=0.0, full_scale_dn=float(self.linearize(self.full_scale_dn)))
 
     def linearize(self, readings: ArrayLike) -> np.ndarray:
-        """Return readings [DN] with the curvature of the response removed; NaN stays NaN.
+        """Return readings [DN] of any shape with the curvature of the response removed; NaN stays NaN.
 
         The noise is transformed with the signal, so that the result follows the distribution of a linear sensor. Only
         the rounding differs: it happens behind the response and is treated as if it happened before.
@@ -96,11 +100,11 @@ class SensorModel:
         return self._moments(photons, exposure_s).mean[()]
 
     def variance(self, photons: ArrayLike, *, exposure_s: float = 0.0) -> np.ndarray:
-        """Return the variance [DN²] of the reading of each pixel; see `mean`."""
+        """Return the variance [DN²] of the reading of each pixel in the shape of `photons`; arguments as for `mean`."""
         return self._moments(photons, exposure_s).variance[()]
 
     def draw(self, photons: ArrayLike, rng: np.random.Generator | int, *, exposure_s: float = 0.0) -> np.ndarray:
-        """Return random readings [DN, uint16] of each pixel; see `mean`.
+        """Return a random reading [DN, uint16] of each pixel, in the shape of `photons`; arguments as for `mean`.
 
         `rng` is a generator or a seed; equal seeds give equal readings.
         """
@@ -115,49 +119,56 @@ class SensorModel:
         return self.gain_dn_per_e * photo_electrons(photons, self.quantum_efficiency)
 
     def _moments(self, photons: ArrayLike, exposure_s: float) -> ReadingMoments:
+        """Return the moments of readings in the shape of `photons`; arguments as for `mean`."""
         light = self.light_of_photons(photons)
         return ReadingDistribution(self, exposure_s).tabulate(float(np.max(light, initial=0.0))).moments(light)
 
 
 def check_sensor(sensor: SensorModel) -> SensorModel:
     """Return the sensor itself; raises ValueError if no sensor has its gain or read noise."""
-    for name, low in (("gain_dn_per_e", "above 0"), ("read_noise_e", "0 or above")):
+    for name, requirement in (("gain_dn_per_e", "above 0"), ("read_noise_e", "0 or above")):
         value = getattr(sensor, name)
-        if not (np.isfinite(value) and value >= 0) or (value == 0 and low == "above 0"):
-            raise ValueError(f"sensor: {name} is {value!r}; it must be a number {low}")
+        if not (np.isfinite(value) and value >= 0) or (value == 0 and requirement == "above 0"):
+            raise ValueError(f"sensor: {name} is {value!r}; it must be a number {requirement}")
     return sensor
 
 
 class NoiseLine(NamedTuple):
-    """Variance of a reading as a straight line in its mean, as photon transfer has it without the converter's ends."""
+    """Variance of a reading as a straight line in its mean: photon transfer of a sensor without clips."""
 
     at_zero: float  # variance [DN²] of a mean reading of 0 DN
-    slope: float  # rise of the variance [DN²] for each DN of the mean: the gain
+    slope: float  # rise of the variance [DN²] for each DN of the mean: the gain K
 
     def variance(self, mean: np.ndarray) -> np.ndarray:
-        """Return the variance [DN²] of readings of a mean [DN], at least that of rounding."""
+        """Return the variance [DN²] of readings with a mean [DN] of any shape; it is at least that of rounding."""
         return np.maximum(self.at_zero + self.slope * mean, ROUNDING_VARIANCE)
 
 
 def noise_line(sensor: SensorModel | None) -> NoiseLine:
-    """Return σ_y² = K² σ_d² + 1/12 + K (µ_y − black level) of a linear sensor (EMVA 1288, Eq. 14); NaN without one."""
+    """Return the noise line σ_y² = K² σ_d² + 1/12 + K (µ_y − black level) of a linear sensor (EMVA 1288, Eq. 14).
+
+    K is the gain, σ_d the read noise [e-], µ_y the mean reading [DN]. Without a sensor both numbers are NaN.
+    """
     if sensor is None:
         return NoiseLine(np.nan, np.nan)
     gain = sensor.gain_dn_per_e
-    dark = (gain * sensor.read_noise_e) ** 2 + ROUNDING_VARIANCE
-    return NoiseLine(dark - gain * sensor.black_level_dn, gain)
+    dark_variance = (gain * sensor.read_noise_e) ** 2 + ROUNDING_VARIANCE
+    return NoiseLine(dark_variance - gain * sensor.black_level_dn, gain)
 
 
 def photo_electrons(photons, quantum_efficiency: float):
-    """Return µ_e [e-], the mean electrons of a mean number of photons (Eq. 15)."""
+    """Return the mean photo-electrons µ_e = η µ_p [e-] of a mean number of photons, in its shape (Eq. 15)."""
     return quantum_efficiency * photons
 
 
 def dark_signal(dark_e, gain_dn_per_e: float):
-    """Return µ_y,dark = K µ_d [DN] of a mean number of dark electrons (Eqs. 16 and 25)."""
+    """Return the dark signal µ_y,dark = K µ_d [DN] of mean dark electrons, in their shape (Eqs. 16 and 25)."""
     return gain_dn_per_e * dark_e
 
 
 def mean_signal(photons, dark_e, gain_dn_per_e: float, quantum_efficiency: float):
-    """Return µ_y [DN] of the linear sensor, K (η µ_p + µ_d) (Eqs. 16, 24 and 29)."""
+    """Return the mean signal µ_y = K (η µ_p + µ_d) [DN] of a linear sensor, without black level (Eqs. 16, 24 and 29).
+
+    `photons` are the mean photons µ_p and `dark_e` the mean dark electrons µ_d [e-] of pixels; they broadcast.
+    """
     return gain_dn_per_e * photo_electrons(photons, quantum_efficiency) + dark_signal(dark_e, gain_dn_per_e)

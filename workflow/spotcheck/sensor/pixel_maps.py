@@ -1,5 +1,4 @@
-"""Maps of a sensor's pixels: how far each reads above the common black level, and how much of the light it turns into
-electrons."""
+"""Maps of a sensor's pixels: offset of each above the common black level, and its gain relative to the others."""
 
 from typing import NamedTuple
 
@@ -7,15 +6,16 @@ import numpy as np
 
 
 class PixelMaps(NamedTuple):
-    """How the pixels of a sensor differ, for fits of spots.
+    """Offset and gain of each pixel of a sensor, for fits of spots.
 
-    A reading's mean is black level + offset + K gain ν, where a pixel that is like all has a mean of ν electrons.
+    The mean reading of a pixel is black level + offset + K gain ν, where ν are the mean electrons of a pixel with the
+    gain 1 under the same light, and K is the gain of the sensor [DN/e-].
 
     Parameters
     ----------
-    offset_dn : how far each pixel reads above the common black level [DN], [rows, columns]; NaN where it is not known.
-    gain : how much of the light it turns into electrons, 1 on average, of the same shape.
-    offset_stderr_dn, gain_stderr : standard errors of one pixel's offset [DN] and gain [1]: noise to a fit.
+    offset_dn : excess of each pixel over the common black level [rows, columns] in DN; NaN where it is unknown.
+    gain : electrons of each pixel relative to the average pixel under equal light [rows, columns]; NaN where unknown.
+    offset_stderr_dn, gain_stderr : standard errors of one pixel's offset [DN] and gain [1]; they are noise to a fit.
 
     Examples
     --------
@@ -36,12 +36,16 @@ class PixelMaps(NamedTuple):
     gain_stderr: float = 0.0
 
     def cut(self, top: int, left: int, rows: int, columns: int) -> "PixelMaps":
-        """The maps of a part of the sensor, NaN beyond it."""
-        inside = []
+        """Return the maps of a window of the sensor [rows, columns], NaN where it reaches beyond the sensor.
+
+        `top` and `left` are the row and the column of its first pixel on the sensor [px]; they may be negative.
+        """
+        windows = []
         for values in (self.offset_dn, self.gain):
-            part = np.full((rows, columns), np.nan)
+            window = np.full((rows, columns), np.nan)
+            # First row and column of the window that are on the sensor.
             y, x = max(-top, 0), max(-left, 0)
             known = values[max(top, 0) : max(top + rows, 0), max(left, 0) : max(left + columns, 0)]
-            part[y : y + known.shape[0], x : x + known.shape[1]] = known
-            inside.append(part)
-        return self._replace(offset_dn=inside[0], gain=inside[1])
+            window[y : y + known.shape[0], x : x + known.shape[1]] = known
+            windows.append(window)
+        return self._replace(offset_dn=windows[0], gain=windows[1])
