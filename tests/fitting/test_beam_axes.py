@@ -63,7 +63,7 @@ def scan(spots: SpotWidths) -> xr.Dataset:
     ds["fit"] = ("fit", ["likelihood"], {"units": "1", "long_name": "fit"})
     dims, shape = ("angle", "exposure", "repeat", "z_m", "centring", "fit"), (1, 1, 1, len(Z), 1, 1)
     mean = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
-    names = [f"{name}{suffix}" for suffix in ("", "_stderr") for name in caustic.PARAMETERS]
+    names = [f"{name}{suffix}" for suffix in ("", "_stderr") for name in caustic.WIDTH_PARAMETERS]
     for name, values in zip([*names, "sigma_mean", "sigma_mean_stderr"], [*vars(spots).values(), *mean], strict=True):
         ds[name] = (dims, values.reshape(shape), {"units": "pixel", "long_name": name})
     ds["status"] = (dims, np.zeros(shape, "i4"), store.status_attributes())

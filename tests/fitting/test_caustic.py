@@ -122,7 +122,7 @@ def scan(z, sigma_px, stderr_px=0.01):
     shape = (1, 1, 1, len(z), 2, 1)
     unknown = {"": np.zeros(len(z)), "_stderr": np.full(len(z), np.inf)}
     known = {"": sigma_px, "_stderr": np.full(len(z), stderr_px)}
-    for name in (*caustic.PARAMETERS, "sigma_mean"):
+    for name in (*caustic.WIDTH_PARAMETERS, "sigma_mean"):
         for suffix, values in (unknown if name == "orientation" else known).items():
             full = np.repeat(np.asarray(values, float), 2).reshape(shape)
             ds[f"{name}{suffix}"] = (dims, full, {"units": "pixel", "long_name": name})
@@ -136,7 +136,7 @@ def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
     radius, truth = tem00(z, 120e-6, 0.1)
     sigma = radius / 2 / PITCH
     fits, instrument = scan(z, sigma)
-    for name in (*caustic.PARAMETERS, "sigma_mean"):
+    for name in (*caustic.WIDTH_PARAMETERS, "sigma_mean"):
         fits[name][0, 0, 0, 3] = 500.0
     fits["status"][0, 0, 0, 3] = store.flag("at_limit")
     found = caustic.compute_caustic(fits, instrument)
