@@ -50,6 +50,6 @@ rule verdict:
         expand(rules.judge.output.verdict, dataset=DATASETS),
 
 
-rule extended:
+rule extended_models:
     input:
-        expand(rules.simulate_extended.output.images, dataset=SPOTS),
+        expand(rules.extended.output.images, dataset=SPOTS),

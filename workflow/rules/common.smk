@@ -167,7 +167,7 @@ def results(wildcards):
     names = ["frames.nc"] + (["transfer.nc"] if has_flats(found) else [])
     if found.spots:
         names += ["crops.nc", "sensor.nc", "fits.nc", "calibration.nc", "simulated.nc", "metrics.nc", "bounds.nc"]
-        names += ["precision.nc", "discrepancy.nc", "light.nc"]
+        names += ["precision.nc", "discrepancy.nc", "light.nc", "extended_metrics.nc", "model_comparison.csv"]
         names += ["caustic.nc"] if "z_m" in found.instrument.conditions else []
     else:
         names += ["verdict.json"]

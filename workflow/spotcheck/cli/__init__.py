@@ -51,6 +51,7 @@ GROUPS = {
         "caustic": "fit waist, divergence and M² of a scan along z",
         "judge": "find where model and measurement disagree and what is missing, and write the verdict",
         "flats": "write verdict.json of a dataset without spots",
+        "extended": "simulate the model with the verdict's effects, and compare its metrics with the measured ones",
         "views": "compute what each model expects of each measured frame, for the report",
         "figures": "draw every figure that the results support",
         "report": "write one self-contained page of figures, tables and skipped parts",

@@ -23,7 +23,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def apply_options(args: argparse.Namespace) -> None:
     """Set the vocabulary of this process to that of the parsed options."""
-    effects.choose(Choice(tuple(args.effects), tuple(args.only), tuple(args.without)))
+    effects.choose(choice_of(args))
+
+
+def choice_of(args: argparse.Namespace) -> Choice:
+    """Return the choice of the parsed options."""
+    return Choice(tuple(args.effects), tuple(args.only), tuple(args.without))
 
 
 def read_choice(config: Mapping[str, Any]) -> Choice:

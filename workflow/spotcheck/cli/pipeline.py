@@ -4,9 +4,10 @@ The verdict says whether the model of the spots agrees with the frames, and whic
 vocabulary is the list of the effects that it can name.
 """
 
+import argparse
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -75,7 +76,7 @@ def judge_dataset(
         store.claim(output, dataset.folder)
         try:
             for command, options in _list_stages(dataset, output):
-                words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+                words = _format_options(options)
                 words += effect_words if command in COMMANDS_WITH_EFFECT_OPTIONS else []
                 # Subcommands print for a terminal.
                 with redirect_stdout(io.StringIO()):
@@ -84,6 +85,35 @@ def judge_dataset(
             # The subcommands have changed the vocabulary of this process.
             choose(previous_choice)
         return json.loads((output / "verdict.json").read_text(encoding="utf-8"))
+
+
+def evaluate_extended_model(args: argparse.Namespace) -> None:
+    """Simulate the frames of a dataset by the extended model, and evaluate them as the measured ones.
+
+    `args` are the parsed arguments of the subcommand `extended`. The folder of the simulated dataset also gets its
+    frames.nc, crops.nc and fits.nc.
+    """
+    folder, effect_words = str(args.folder), effect_options.list_options(effect_options.choice_of(args))
+    frames, crops, fits = (f"{folder}/{name}.nc" for name in ("frames", "crops", "fits"))
+    sensor = {"sensor": args.sensor}
+    simulated = {"model": args.model, **sensor, "seed": args.seed, "folder": folder, "output": args.images}
+    pairs = {"crops": (args.crops, crops), "fits": (args.fits, fits), **sensor, "output": args.output}
+    for words in (
+        ["simulate", args.dataset, *_format_options(simulated), *effect_words],
+        ["ingest", folder, *_format_options({"output": frames})],
+        ["crop", folder, *_format_options({"frames": frames, "output": crops})],
+        ["fit", args.dataset, *_format_options({"crops": crops, **sensor, "output": fits})],
+        ["metrics", *_format_options(pairs)],
+    ):
+        cli.run(words)
+
+
+def _format_options(options: Mapping[str, Any]) -> list[str]:
+    """Return the words of a command line for options by name; a tuple gives several values."""
+    words = []
+    for name, value in options.items():
+        words += [f"--{name}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return words
 
 
 def _list_stages(dataset: Dataset, output: Path) -> Iterator[tuple[str, dict[str, Any]]]:

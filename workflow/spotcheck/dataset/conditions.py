@@ -23,6 +23,27 @@ READ_BACK_RANGE = {"exposure_s": 0.1}
 READ_BACK_RANGE_DEFAULT = 1e-3
 
 
+# Repeats from which on every third one is held out.
+FEWEST_REPEATS = 6
+
+
+def held_out_repeats(repeats: np.ndarray) -> np.ndarray:
+    """Return which repeats are held out, for a validation: every third one (2, 5, 8, …) of six or more.
+
+    Parameters
+    ----------
+    repeats : array
+        Number of the repeat of each frame, of any shape.
+
+    Returns
+    -------
+    array of bool
+        True for frames that no search or fit of effects may use, in the shape of `repeats`.
+    """
+    numbers = np.unique(repeats)
+    return np.isin(repeats, numbers[2::3]) & (len(numbers) >= FEWEST_REPEATS)
+
+
 class MergedValues(NamedTuple):
     """Values of a column after merging."""
 

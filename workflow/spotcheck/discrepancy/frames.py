@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.crops.cropping import is_usable
+from spotcheck.dataset.conditions import held_out_repeats
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import parse_number
 from spotcheck.io import store
@@ -22,9 +23,6 @@ from spotcheck.model.conditions import FrameConditions, PixelGrid
 # Parameters of a spot, in the order in which arrays of unknowns hold them for each frame.
 LOG_PEAK, LOG_SIGMA, CENTRE_X, CENTRE_Y = range(4)
 SPOT_PARAMETERS = 4
-# A dataset with at least FEWEST_REPEATS repeats holds out every HOLD_OUT_STRIDE-th of them, from FIRST_HELD_OUT on
-# (counted from 0).
-FEWEST_REPEATS, FIRST_HELD_OUT, HOLD_OUT_STRIDE = 6, 2, 3
 # Pixels within INNER_REACH [σ] of a spot along each axis are all used. Beyond it every OUTER_STRIDE-th row and column
 # is used.
 INNER_REACH, OUTER_STRIDE = 3.2, 4
@@ -102,14 +100,8 @@ class FrameSet:
         return replace(self, design=self.design.select(frames), light_field=light_field, **crops)
 
     def held_out(self) -> np.ndarray:
-        """Return which frames [frame] are held out for validation: the third, sixth, … of at least six repeats.
-
-        No frame is held out if there are fewer repeats.
-        """
-        repeats = np.unique(self.design.repeat)
-        if len(repeats) < FEWEST_REPEATS:
-            return np.zeros(len(self), bool)
-        return np.isin(self.design.repeat, repeats[FIRST_HELD_OUT::HOLD_OUT_STRIDE])
+        """Return which frames [frame] are kept from search and fit, by `held_out_repeats`."""
+        return held_out_repeats(self.design.repeat)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,9 @@ crops of each cell, along the dimension `centring`: "light" around the centroid 
 brightest pixel.
 """
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 
@@ -25,6 +28,29 @@ REGISTRATIONS = ("maximum", "fitted")
 DATA_RANGES = ("container", "sensor")
 
 
+# Position along each dimension of the grid.
+Index = dict[str, int]
+# Finds the frame that a measured frame is compared with; None if there is none.
+FindPartner = Callable[[Index], Index | None]
+
+
+class FrameSource(NamedTuple):
+    """Crops and fits of measured or simulated frames."""
+
+    crops: xr.Dataset  # crops.nc
+    fits: xr.Dataset  # fits.nc
+
+    def is_usable_at(self, index: Index) -> bool:
+        """Return whether the crops of a frame are usable in every centring."""
+        return all(is_usable(status) for status in self.crops["status"].isel(index).values)
+
+    def spot_at(self, index: Index) -> tuple[np.ndarray, np.ndarray]:
+        """Return the crop of a frame centred on the light [y, x] in DN, and its fitted centre (row, column) [px]."""
+        crop, fit = self.crops.sel(centring="light").isel(index), select_preferred_fits(self.fits).isel(index)
+        centre = (float(fit["y_centre"]) - float(crop["top"]), float(fit["x_centre"]) - float(crop["left"]))
+        return crop["image"].values, np.array(centre)
+
+
 def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
     """Return the metrics of measured and simulated crops, PSNR between them, and averages over repeats.
 
@@ -39,8 +65,9 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
     -------
     Dataset
         Contents of metrics.nc: metrics [source, grid..., centring], fit parameters and status [source, grid...,
-        centring, fit], and PSNR [grid..., registration, data_range]. All but the status also have NAME_mean and
-        NAME_sd, the mean and the standard deviation (n − 1) over repeats.
+        centring, fit], and PSNR [grid..., registration, data_range] of measured against simulated frames (`psnr`) and
+        against the next measured repeat of the same condition (`psnr_repeats`, NaN if there is none). All but the
+        status also have NAME_mean and NAME_sd, the mean and the standard deviation (n − 1) over repeats.
 
     Raises
     ------
@@ -72,11 +99,17 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
     for name, attrs in (attributes | {"status": store.status_attributes()}).items():
         both = [fits[source][name].transpose(*dims, "fit").values for source in SOURCES]
         ds[name] = (("source", *dims, "fit"), np.stack(both), attrs)
-    text = "peak signal-to-noise ratio of measured against simulated"
-    psnr_dims = (*grid, "registration", "data_range")
-    add_variable(ds, "psnr", psnr_dims, _compute_psnr(crops, fits, grid, full_scale), "dB", text)
-    # Explains infinite values to readers of the file.
-    ds["psnr"].attrs["infinite"] = "both frames are alike to the last digit"
+    frames = {source: FrameSource(crops[source], fits[source]) for source in SOURCES}
+    others = {
+        "psnr": ("measured against simulated", frames["simulated"], lambda index: index),
+        "psnr_repeats": ("a measured frame against the next repeat", frames["measured"], _next_repeat(measured, grid)),
+    }
+    for name, (text, other, find_partner) in others.items():
+        values = _compute_psnr(frames["measured"], other, find_partner, grid, full_scale)
+        text = f"peak signal-to-noise ratio of {text}"
+        add_variable(ds, name, (*grid, "registration", "data_range"), values, "dB", text)
+        # Explains infinite values to readers of the file.
+        ds[name].attrs["infinite"] = "both frames are alike to the last digit"
     return _add_averages(ds).assign_attrs(preferred=fits["measured"].attrs["preferred"])
 
 
@@ -95,44 +128,57 @@ def _measure_crops(crops: xr.Dataset, dims: tuple[str, ...], source: str) -> np.
     return values
 
 
-def _compute_psnr(
-    crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], grid: tuple[str, ...], full_scale: float
-) -> np.ndarray:
-    """Return PSNR [grid..., registration, data range] in dB, with the range `full_scale` [DN] for the sensor.
+def _next_repeat(crops: xr.Dataset, grid: tuple[str, ...]) -> FindPartner:
+    """Return a function from the index of a usable frame to that of the next usable repeat, cyclic; None if alone."""
+    usable = (crops["status"] & store.UNUSABLE == 0).all("centring").transpose(*grid)
 
-    NaN unless the crops of both sources are usable in every centring, and for "fitted" unless both have a fit.
+    def find_partner(index: Index) -> Index | None:
+        condition = {dim: position for dim, position in index.items() if dim != "repeat"}
+        repeats = np.flatnonzero(usable.isel(condition).values)
+        later = repeats[repeats > index["repeat"]]
+        partner = int(later[0] if later.size else repeats[0])
+        return None if partner == index["repeat"] else condition | {"repeat": partner}
+
+    return find_partner
+
+
+def _compute_psnr(
+    measured: FrameSource, other: FrameSource, find_partner: FindPartner, grid: tuple[str, ...], full_scale: float
+) -> np.ndarray:
+    """Return PSNR [grid..., registration, data range] in dB between each measured frame and its partner in `other`.
+
+    The data ranges are those of the container and `full_scale` [DN]. NaN unless the crops of both frames are usable in
+    every centring, and for "fitted" unless both have a fit.
     """
-    pair = [crops[source] for source in SOURCES]
-    values = np.full((*(pair[0].sizes[dim] for dim in grid), len(REGISTRATIONS), len(DATA_RANGES)), np.nan)
-    for index in iterate_cells(pair[0], grid):
-        if not all(is_usable(status) for ds in pair for status in ds["status"].isel(index).values):
+    values = np.full((*(measured.crops.sizes[dim] for dim in grid), len(REGISTRATIONS), len(DATA_RANGES)), np.nan)
+    for index in iterate_cells(measured.crops, grid):
+        if not measured.is_usable_at(index):
             continue
-        at_maximum = [ds["image"].sel(centring="maximum").isel(index).values for ds in pair]
-        for k, images in enumerate((at_maximum, _align_centres(crops, fits, index))):
+        partner = find_partner(index)
+        if partner is None or not other.is_usable_at(partner):
+            continue
+        at_maximum = [
+            source.crops["image"].sel(centring="maximum").isel(cell).values
+            for source, cell in ((measured, index), (other, partner))
+        ]
+        for k, images in enumerate((at_maximum, _align_centres(measured.spot_at(index), other.spot_at(partner)))):
             if images is not None:
-                measured, simulated = images
-                ratios = [psnr(simulated, measured, data_range) for data_range in (CONTAINER_RANGE, full_scale)]
+                reference, image = images
+                ratios = [psnr(image, reference, data_range) for data_range in (CONTAINER_RANGE, full_scale)]
                 values[(*index.values(), k)] = ratios
     return values
 
 
 def _align_centres(
-    crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], index: dict[str, int]
+    reference: tuple[np.ndarray, np.ndarray], moved: tuple[np.ndarray, np.ndarray]
 ) -> list[np.ndarray] | None:
-    """Return the measured crop, and the simulated one shifted so that its fitted centre lies on the measured one.
+    """Return two images [y, x], the second shifted so that its fitted centre lies on that of the first.
 
-    Both are the crops [y, x] in DN that are centred on the light. None unless both have a fit.
+    Each argument is an image and its fitted centre (row, column) [px of the image]. None unless both have a fit.
     """
-    # Fitted centres are in px of the crop.
-    images, row_centres, column_centres = [], [], []
-    for source in SOURCES:
-        crop, fit = crops[source].sel(centring="light").isel(index), select_preferred_fits(fits[source]).isel(index)
-        images.append(crop["image"].values)
-        row_centres.append(float(fit["y_centre"]) - float(crop["top"]))
-        column_centres.append(float(fit["x_centre"]) - float(crop["left"]))
-    if not np.isfinite(row_centres + column_centres).all():
-        return None
-    return [images[0], shift_image(images[1], row_centres[0] - row_centres[1], column_centres[0] - column_centres[1])]
+    (image, centre), (moved_image, moved_centre) = reference, moved
+    shift = centre - moved_centre
+    return [image, shift_image(moved_image, *map(float, shift))] if np.isfinite(shift).all() else None
 
 
 def _add_averages(ds: xr.Dataset) -> xr.Dataset:
@@ -140,7 +186,7 @@ def _add_averages(ds: xr.Dataset) -> xr.Dataset:
 
     Values that are NaN or infinite are left out; the standard deviation of fewer than two values is NaN.
     """
-    for name in (*(metric.name for metric in PER_IMAGE), *FIT_PARAMETERS, "psnr"):
+    for name in (*(metric.name for metric in PER_IMAGE), *FIT_PARAMETERS, "psnr", "psnr_repeats"):
         attrs = ds[name].attrs
         finite = ds[name].where(np.isfinite(ds[name]))
         for suffix, text, statistic in (

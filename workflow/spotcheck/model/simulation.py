@@ -26,6 +26,7 @@ from spotcheck.model.conditions import FrameConditions, PixelGrid, SpotState, cr
 from spotcheck.model.forward import ForwardModel, RandomStreams
 from spotcheck.model.light_shape import LIGHT
 from spotcheck.model.model_file import ExtendedModel, Site, Spot, check_bounds, scales_of, site_of
+from spotcheck.model.stage import Stage
 from spotcheck.sensor import SensorModel
 
 # All simulated frames, one page each, in the order of the manifest.
@@ -66,9 +67,10 @@ class SimulatedFrame(NamedTuple):
 
         Images are crops [side, side] in DN around the spot.
         """
-        model, frame, spot = self
+        model, spot = self.model, self.spot
+        frame = self._near_spot(side)
         pixels, column, row = frame.pixels, round(frame.x0), round(frame.y0)
-        # Place of the spot on the simulated frame, which may be a window of the sensor.
+        # Place of the spot on the pixels that are evaluated.
         centre = spotfinding.Spot(row - int(pixels.y[0, 0]), column - int(pixels.x[0, 0]), exists=True)
         light = np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size))
         crop = spotfinding.cut_crop(light, centre, side)
@@ -77,6 +79,18 @@ class SimulatedFrame(NamedTuple):
             reading = spotfinding.cut_crop(model.expected(frame).mean, centre, side)
             values |= {"mean_reading": reading, "left": column - side // 2, "top": row - side // 2}
         return values
+
+    def _near_spot(self, side: int) -> FrameConditions:
+        """Return the conditions with only those pixels of the frame that the crop of the spot has.
+
+        All rows remain if light is smeared along columns, since the smear is a sum over them.
+        """
+        frame, pixels = self.conditions, self.conditions.pixels
+        first_column, first_row = round(frame.x0) - side // 2, round(frame.y0) - side // 2
+        x = pixels.x[:, (pixels.x[0] >= first_column) & (pixels.x[0] < first_column + side)]
+        is_in_crop = (pixels.y[:, 0] >= first_row) & (pixels.y[:, 0] < first_row + side)
+        y = pixels.y if self.model.steps_at(Stage.SMEAR) else pixels.y[is_in_crop]
+        return replace(frame, pixels=replace(pixels, x=x, y=y))
 
 
 @dataclass(frozen=True)
