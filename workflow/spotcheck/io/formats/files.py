@@ -45,6 +45,8 @@ UNREAD_FORMATS = (
     (b"8BPS", "Photoshop"),
     (b"PK\3\4", "a ZIP archive"),
 )
+# First bytes of a file in which its signature is looked for, and most characters of the text of an error in a message.
+SIGNATURE_BYTES, LONGEST_REASON = 16, 120
 FLOATING_POINT = f"holds floating-point pixels, such as a mean of frames; {ONE_CHANNEL}"
 
 
@@ -134,5 +136,10 @@ def _convert_error(error: Exception, name: str, kind: str) -> Exception:
         return InputError(
             f"{name}: does not fit into memory; close other programs, or copy the file again if it is not that large"
         )
-    reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+    reason = describe_error(error)
     return InputError(f"{name}: cannot be read as {kind} ({reason}), perhaps cut short; copy the file again")
+
+
+def describe_error(error: Exception) -> str:
+    """Return the first line of the text of an error, shortened to `LONGEST_REASON`, or else the name of its class."""
+    return str(error).splitlines()[0][:LONGEST_REASON] if str(error) else type(error).__name__
