@@ -122,11 +122,9 @@ def _read_rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list
 
 def _is_comment(line: str, folder: Path) -> bool:
     """Return whether a line starts with #, but not with the name of an image in the folder such as #1.tif."""
-    if not line.startswith("#"):
-        return False
     name = line.split(",")[0].strip()
-    is_image = len(name) <= LONGEST_PATH and Path(name).suffix.lower() in IMAGE_SUFFIXES and (folder / name).is_file()
-    return not is_image
+    may_be_image = len(name) <= LONGEST_PATH and Path(name).suffix.lower() in IMAGE_SUFFIXES
+    return line.startswith("#") and not (may_be_image and (folder / name).is_file())
 
 
 def _check_columns(path: Path, columns: list[str], conditions: tuple[str, ...]) -> None:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import yaml
@@ -63,9 +64,7 @@ def remark_on_quotes(path: str) -> str | None:
 
     Returns None if it needs none.
     """
-    try:
+    with suppress(yaml.YAMLError):
         if [str(name) for name in yaml.safe_load(f"[{path}]")] == [path]:
             return None
-    except yaml.YAMLError:
-        pass
     return f"{path}: this name must stand in quotes in config.yaml and in `datasets=[…]`, where YAML reads it otherwise"

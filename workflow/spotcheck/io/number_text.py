@@ -12,10 +12,9 @@ PREFIXED_UNITS = ("s", "m", "rad", "W")
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: ""}
 # Values with an error and more decimals than this are written with a power of ten.
 MAX_DECIMALS = 6
-# Powers of ten of numbers without an error that are written out, and values from which such a number has no decimals.
-PLAIN_POWERS, WHOLE_FROM = range(-4, 5), 1000
-# Range of numbers that `two_digits` writes out; smaller and larger ones have a power of ten.
-PLAIN_RANGE = (1e-2, 1e4)
+# Numbers without an error: value from which `quantity_text` writes no decimals; powers of ten that `number_text` writes
+# out, and range of values that `two_digits` writes out, while others have a power of ten.
+WHOLE_FROM, PLAIN_POWERS, PLAIN_RANGE = 1000, range(-4, 5), (1e-2, 1e4)
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

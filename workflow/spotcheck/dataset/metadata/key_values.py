@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from datetime import datetime
 from itertools import islice
 from typing import Any
@@ -77,16 +78,12 @@ def _split_pairs(text: str) -> Iterable[tuple[str, Any]]:
     """
     first_character = text.lstrip()[:1]
     if first_character in ("{", "["):
-        try:
+        with suppress(ValueError, RecursionError):
             return list(flatten_keys(json.loads(text)))
-        except (ValueError, RecursionError):
-            pass
     # A text that declares entities is not parsed as XML: entities can expand to more than memory holds.
     if first_character == "<" and "<!DOCTYPE" not in text and "<!ENTITY" not in text:
-        try:
+        with suppress(ElementTree.ParseError):
             return _flatten_xml(ElementTree.fromstring(text.strip()))
-        except ElementTree.ParseError:
-            pass
     parts = (part.strip("\0# \t\r") for part in re.split(r"[\n\r;]", text))
     return ((match[1].strip(), match[2].strip()) for part in parts if (match := _LINE.fullmatch(part)))
 

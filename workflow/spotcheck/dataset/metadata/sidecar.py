@@ -158,19 +158,15 @@ def _parse_emva_list(text: str, source: str) -> EntriesByImage:
         match cells[:1], cells[1:]:
             case ["n"], [bits, *_] if bits.isdecimal():
                 camera_entries = (MetadataEntry("sensor.bit_depth", int(bits), line, source),)
-            case ["b"], [exposure, *photons]:
-                # A factor of 1, as for seconds, reads a plain number.
-                light = key_values.parse_value((photons or [""])[0], "s", "s")
-                photons_entry = MetadataEntry("photons_per_px", light, line, source)
-                level_entries = (*_parse_emva_level("flat", exposure, line, source), photons_entry)
-            case ["d"], [exposure, *_]:
-                level_entries = _parse_emva_level("dark", exposure, line, source)
+            case ["b" | "d" as letter], [exposure, *photons]:
+                values: dict[str, float | int | str | None] = {
+                    "kind": "flat" if letter == "b" else "dark",
+                    "exposure_s": key_values.parse_value(exposure, "ns", "s"),
+                }
+                if letter == "b":
+                    # A plain number is read as one in seconds, whose factor is 1.
+                    values["photons_per_px"] = key_values.parse_value((photons or [""])[0], "s", "s")
+                level_entries = tuple(MetadataEntry(*item, line, source) for item in values.items())
             case ["i"], [*words]:
                 entries_by_image[PureWindowsPath(" ".join(words)).name] = (*level_entries, *camera_entries)
     return entries_by_image
-
-
-def _parse_emva_level(kind: str, exposure_ns: str, line: str, source: str) -> tuple[MetadataEntry, ...]:
-    """Return the entries of kind and exposure time [s] of the images of one light level."""
-    exposure_s = key_values.parse_value(exposure_ns, "ns", "s")
-    return MetadataEntry("kind", kind, line, source), MetadataEntry("exposure_s", exposure_s, line, source)
