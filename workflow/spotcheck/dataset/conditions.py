@@ -46,10 +46,10 @@ def merge_values(column: str, values: Sequence[float | None]) -> MergedValues:
     MergedValues
         The merged values in the order of `values`, and the groups that are too wide to be merged.
     """
-    known = np.array([value for value in values if value is not None])
-    if not known.size:
+    known_values = np.array([value for value in values if value is not None])
+    if not known_values.size:
         return MergedValues(list(values), [])
-    distinct = np.unique(known)
+    distinct = np.unique(known_values)
     tolerances = _get_tolerances(column, distinct)
     # A group starts behind each step that exceeds the tolerance of the value below it.
     starts = np.flatnonzero(np.diff(distinct) > tolerances[:-1]) + 1
@@ -61,7 +61,8 @@ def merge_values(column: str, values: Sequence[float | None]) -> MergedValues:
             unmerged_groups.append((low, high, len(group)))
         elif len(group) > 1:
             # The mean of all rows, in which a value may occur several times.
-            means |= dict.fromkeys(group.tolist(), float(known[(known >= low) & (known <= high)].mean()))
+            in_group = (known_values >= low) & (known_values <= high)
+            means |= dict.fromkeys(group.tolist(), float(known_values[in_group].mean()))
     return MergedValues([None if value is None else means.get(value, value) for value in values], unmerged_groups)
 
 
@@ -86,20 +87,20 @@ def check_spread(column: str, values: Sequence[float | None]) -> list[str]:
     list of str
         One sentence for the whole column or for each unmerged group; empty if nothing is suspicious.
     """
-    known = [value for value in values if value is not None]
-    distinct = sorted(set(known))
+    known_values = [value for value in values if value is not None]
+    distinct = sorted(set(known_values))
     if len(distinct) < FEWEST_VALUES:
         return []
     low, high = distinct[0], distinct[-1]
     advice = "write the value that was set, the same in every row that shares it, if they are read back"
     read_back_range = READ_BACK_RANGE.get(column, READ_BACK_RANGE_DEFAULT)
-    if len(distinct) > len(known) / 2 and high - low < read_back_range * max(abs(low), abs(high)):
+    if len(distinct) > len(known_values) / 2 and high - low < read_back_range * max(abs(low), abs(high)):
         return [
-            f"manifest.csv: {column} has {len(distinct)} different values in {len(known)} spot rows, all from"
+            f"manifest.csv: {column} has {len(distinct)} different values in {len(known_values)} spot rows, all from"
             f" {low:.6g} to {high:.6g}: nearly every frame is a condition of its own; {advice}"
         ]
     return [
         f"manifest.csv: {column} has {count} different values from {first:.6g} to {last:.6g} in steps below the"
         f" tolerance: each is a condition of its own; {advice}"
-        for first, last, count in merge_values(column, known).unmerged_groups
+        for first, last, count in merge_values(column, known_values).unmerged_groups
     ]

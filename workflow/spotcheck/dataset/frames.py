@@ -116,14 +116,13 @@ def _check_pages_without_row(dataset: Dataset, pages: dict[str, list[Page]]) -> 
     named_pages = {(frame.file, frame.page) for frame in dataset.frames}
     remarks = []
     for file, file_pages in pages.items():
-        unnamed = [
-            number for number, page in enumerate(file_pages) if (file, number) not in named_pages and not page.preview
-        ]
+        image_pages = (page_number for page_number, page in enumerate(file_pages) if not page.preview)
+        unnamed = [page_number for page_number in image_pages if (file, page_number) not in named_pages]
         if not unnamed or Path(file).parts[0] != "frames":
             continue
         plural, verb = ("s", "are") if len(unnamed) > 1 else ("", "is")
         remark = f"{file}: page{plural} {_format_runs(unnamed)} {verb} named by no row of manifest.csv"
-        if not any((file, number) in named_pages for number in range(1, len(file_pages))):
+        if not any((file, page_number) in named_pages for page_number in range(1, len(file_pages))):
             raise InputError(f"{remark}; add a row with its page for each, or move the file out of frames/")
         remarks.append(remark)
     return tuple(remarks)

@@ -110,10 +110,10 @@ def _read_rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list
         for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
         if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR_LINE.fullmatch(line)))
     ]
-    spelling = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
+    spelling_of = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
     try:
         reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
-        columns = [spelling.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
+        columns = [spelling_of.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
         reader.fieldnames = columns
         return columns, [(lines[reader.line_num - 1][0], row) for row in reader]
     except csv.Error as error:
@@ -288,10 +288,10 @@ def _check_blanks(path: Path, frames: tuple[Frame, ...]) -> None:
     """Raise `InputError` for a column that is blank in some, but not all spot rows."""
     spots = [frame for frame in frames if frame.kind == "spot"]
     for column in ("angle_deg", "exposure_s", "repeat"):
-        blank = [frame for frame in spots if getattr(frame, column) is None]
-        if blank and len(blank) < len(spots):
+        blank_frames = [frame for frame in spots if getattr(frame, column) is None]
+        if blank_frames and len(blank_frames) < len(spots):
             raise InputError(
-                f"{path.name} line {blank[0].line}: {column} is blank here and given in other spot rows;"
+                f"{path.name} line {blank_frames[0].line}: {column} is blank here and given in other spot rows;"
                 f" give it in all of them or in none"
             )
 

@@ -93,10 +93,10 @@ def list_sources(module: str, root: Path = ROOT) -> list[Path]:
     ModuleNotFoundError
         If there is no such module below `root`.
     """
-    start = _find_module_file(module, root)
-    if start is None:
+    start_file = _find_module_file(module, root)
+    if start_file is None:
         raise ModuleNotFoundError(f"{module}: no module below {root.name}/")
-    files, unread = set[Path](), {start}
+    files, unread = set[Path](), {start_file}
     while unread:
         files |= unread
         names = {name for file in unread for name in list_imports(file, root)}

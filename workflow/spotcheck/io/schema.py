@@ -160,8 +160,8 @@ def _explain(error: ValidationError, schema: dict[str, Any]) -> str:
     if rule == "additionalProperties":
         return _explain_unknown_key(key, error, schema)
     if rule == "required":
-        missing = next(name for name in rule_value if name not in error.instance)
-        return f"key {key}.{missing} is missing" if key else f"key {missing} is missing"
+        missing_key = next(name for name in rule_value if name not in error.instance)
+        return f"key {key}.{missing_key} is missing" if key else f"key {missing_key} is missing"
     if rule == "type":
         return f"key {key} is {_quote(error.instance)}; it must be {TYPE_NAMES[rule_value]}"
     if rule == "enum":

@@ -181,11 +181,12 @@ def _find_positions(
         if len(set(positions) - {None}) < 2:
             return [None] * len(images), []
         source = next(image.metadata[Z].source for image in images if Z in image.metadata)
-        missing = positions.count(None)
-        remarks.append(f"z: from the {source}" + (f"; images without: {missing}" if missing else ""))
-    known = [z for z in positions if z is not None]
-    if known and max(known) - min(known) > LONGEST_SCAN_M:
-        remarks.append(f"z goes from {min(known):g} to {max(known):g} m, which is implausibly long: is it in mm?")
+        missing_count = positions.count(None)
+        remarks.append(f"z: from the {source}" + (f"; images without: {missing_count}" if missing_count else ""))
+    known_positions = [z for z in positions if z is not None]
+    lowest, highest = min(known_positions, default=0.0), max(known_positions, default=0.0)
+    if highest - lowest > LONGEST_SCAN_M:
+        remarks.append(f"z goes from {lowest:g} to {highest:g} m, which is implausibly long: is it in mm?")
     return positions, remarks
 
 

@@ -39,12 +39,12 @@ class Image:
         Raises `InputError` if no reading is finite.
         """
         if isinstance(self.source, Path):
-            stored = files.read_pixels(self.source, self.page, self.name, self.colour, allow_floats=True)
+            stored_pixels = files.read_pixels(self.source, self.page, self.name, self.colour, allow_floats=True)
         else:
-            stored = self.source
+            stored_pixels = self.source
         # A damaged file may hold signalling NaN, which would warn.
         with np.errstate(invalid="ignore"):
-            pixels = np.ma.filled(np.ma.asanyarray(stored).astype(float), np.nan)
+            pixels = np.ma.filled(np.ma.asanyarray(stored_pixels).astype(float), np.nan)
         is_finite = np.isfinite(pixels)
         if not is_finite.any():
             raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
@@ -144,12 +144,12 @@ def _open_pages(path: Path) -> Iterator[Image]:
     for stack in [f"{file.name}#{inner_path}"] if inner_path else files.list_stacks(file, file.name):
         source, entries = file.parent / stack, read_metadata(file, inner_path=split_inner_path(stack)[1])
         pages, colour = _list_pages(source, stack)
-        image_pages = [(number, page) for number, page in enumerate(pages) if not page.preview]
-        for number, page in image_pages:
-            title = stack if len(image_pages) == 1 else f"{stack} page {number}"
-            metadata, _ = resolve_entries(entries, number)
+        image_pages = [(page_number, page) for page_number, page in enumerate(pages) if not page.preview]
+        for page_number, page in image_pages:
+            title = stack if len(image_pages) == 1 else f"{stack} page {page_number}"
+            metadata, _ = resolve_entries(entries, page_number)
             # Pages of floating-point numbers have 0 bits.
-            yield Image(title, source, page.shape, number, page.bits or None, metadata, colour)
+            yield Image(title, source, page.shape, page_number, page.bits or None, metadata, colour)
 
 
 def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:

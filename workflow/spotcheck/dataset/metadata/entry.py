@@ -37,6 +37,7 @@ class MetadataEntry:
         return re.sub(r"^side file .*(\.\w+)$", r"side file *\1", self.source)
 
     def __str__(self) -> str:
+        """Return the source and the text of the entry as a clause of a message."""
         return f"{self.source} says {self.text!r}"
 
 
@@ -69,12 +70,12 @@ def resolve_entries(
     agreed, conflicts = {}, {}
     usable = (entry for entry in entries if entry.value is not None and entry.page in (None, page))
     for column, candidates in group_by_column(usable).items():
-        first = candidates[0]
-        contradicting = next((entry for entry in candidates if not is_consistent(first, entry)), None)
+        first_entry = candidates[0]
+        contradicting = next((entry for entry in candidates if not is_consistent(first_entry, entry)), None)
         if contradicting is None:
-            agreed[column] = first
+            agreed[column] = first_entry
         else:
-            conflicts[column] = first, contradicting
+            conflicts[column] = first_entry, contradicting
     return agreed, conflicts
 
 

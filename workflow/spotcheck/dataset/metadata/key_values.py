@@ -84,8 +84,8 @@ def _split_pairs(text: str) -> Iterable[tuple[str, Any]]:
     if first_character == "<" and "<!DOCTYPE" not in text and "<!ENTITY" not in text:
         with suppress(ElementTree.ParseError):
             return _flatten_xml(ElementTree.fromstring(text.strip()))
-    parts = (part.strip("\0# \t\r") for part in re.split(r"[\n\r;]", text))
-    return ((match[1].strip(), match[2].strip()) for part in parts if (match := _LINE.fullmatch(part)))
+    segments = (segment.strip("\0# \t\r") for segment in re.split(r"[\n\r;]", text))
+    return ((match[1].strip(), match[2].strip()) for segment in segments if (match := _LINE.fullmatch(segment)))
 
 
 def flatten_keys(content: Any) -> Iterator[tuple[str, Any]]:

@@ -112,14 +112,14 @@ def _assign_pages(pixels: Element) -> dict[tuple[int, ...], int]:
     page_of: dict[tuple[int, ...], int] = {}
     # Each element TiffData assigns a run of planes to pages (IFD); without such elements the planes are the pages.
     elements = list(_find_all(pixels, "TiffData"))
-    files = {uuid.get("FileName") for uuid in _find_all(pixels, "UUID")}
-    if len(elements) > 1 and len(files) > 1:
+    file_names = {uuid.get("FileName") for uuid in _find_all(pixels, "UUID")}
+    if len(elements) > 1 and len(file_names) > 1:
         raise ValueError("it describes planes of several files, which are not told apart")
     for element in elements:
-        first = position_of.get(tuple(_parse_integer(element, f"First{axis}") for axis in "ZCT"), 0)
-        count = _parse_integer(element, "PlaneCount", 1 if element.get("IFD") is not None else len(planes))
-        for offset in range(min(count, len(planes) - first)):
-            page_of.setdefault(planes[first + offset], _parse_integer(element, "IFD") + offset)
+        first_position = position_of.get(tuple(_parse_integer(element, f"First{axis}") for axis in "ZCT"), 0)
+        plane_count = _parse_integer(element, "PlaneCount", 1 if element.get("IFD") is not None else len(planes))
+        for offset in range(min(plane_count, len(planes) - first_position)):
+            page_of.setdefault(planes[first_position + offset], _parse_integer(element, "IFD") + offset)
     return page_of or position_of
 
 

@@ -102,7 +102,7 @@ def list_stacks(path: Path, name: str) -> list[str]:
     Raises `InputError` as `list_pages` does.
     """
     with _open_reader(path, name) as reader:
-        return [f"{name}#{inside}" for inside in hdf5.list_stacks(path)] if reader is hdf5 else [name]
+        return [f"{name}#{inner_path}" for inner_path in hdf5.list_stacks(path)] if reader is hdf5 else [name]
 
 
 @contextmanager

@@ -55,10 +55,10 @@ def read_header(path: Path) -> Header:
         raise ImageError(f"states the white value {white}; it must be 1 to 65535")
     header = Header(content[:2] == b"P5", rows, columns, white, match.end())
     # Text takes at least one digit per pixel and a blank between two.
-    end = header.start + (rows * columns * header.bits // 8 if header.binary else 2 * rows * columns - 1)
+    pixel_end = header.start + (rows * columns * header.bits // 8 if header.binary else 2 * rows * columns - 1)
     length = path.stat().st_size
-    check_length(end, length)
-    surplus = length - end
+    check_length(pixel_end, length)
+    surplus = length - pixel_end
     if not header.binary or not surplus:
         return header
     padding = _PADDING.match(content, header.start)

@@ -75,11 +75,11 @@ def _read_chunk(stream: BinaryIO, length: int) -> tuple[bytes, bytes]:
     # Four bytes each: length of the content, name and, behind the content, checksum.
     chunk_start = stream.read(8)
     size = int.from_bytes(chunk_start[:4])
-    end = stream.tell() + size + 4
-    if len(chunk_start) < 8 or end > length:
+    chunk_end = stream.tell() + size + 4
+    if len(chunk_start) < 8 or chunk_end > length:
         raise ImageError("is cut short; copy the file again")
     content = stream.read(min(size, CONTENT_BYTES))
-    stream.seek(end)
+    stream.seek(chunk_end)
     return chunk_start[4:], content
 
 

@@ -66,7 +66,7 @@ def list_pages(path: Path) -> list[Page]:
     offsets, length = _find_directories(path)
     with _open_tiff(path) as tiff:
         _check_imagej(tiff)
-        pages = [_make_page(_read_directory(tiff, offsets, number), length) for number in range(len(offsets))]
+        pages = [_make_page(_read_directory(tiff, offsets, page_number), length) for page_number in range(len(offsets))]
         # All images behind a single directory have the same header.
         return pages if len(pages) > 1 else pages * _count_images(tiff, length)
 
@@ -115,7 +115,7 @@ def open_directories(path: Path) -> Iterator[tuple[tifffile.TiffFile, Iterator[t
     """
     offsets, _ = _find_directories(path)
     with _open_tiff(path) as tiff:
-        yield tiff, (_read_directory(tiff, offsets, number) for number in range(len(offsets)))
+        yield tiff, (_read_directory(tiff, offsets, page_number) for page_number in range(len(offsets)))
 
 
 def _open_tiff(path: Path) -> tifffile.TiffFile:
@@ -181,16 +181,16 @@ def _count_images(tiff: tifffile.TiffFile, length: int) -> int:
     ImageJ (above 4 GB), MetaMorph and tifffile may write one directory for a whole stack. Raises `ImageError` for a
     stack that is cut short.
     """
-    series, first = tiff.series[0], tiff.pages.first
+    series, directory = tiff.series[0], tiff.pages.first
     # tifffile calls a series truncated if its single directory describes several images, and a directory final if its
     # pixels are stored uncompressed in one piece, so that further images can follow.
-    if series.is_truncated and first.is_final:
-        count = math.prod(series.shape) // math.prod(first.shape)
-        check_length(first.dataoffsets[0] + count * first.nbytes, length)
+    if series.is_truncated and directory.is_final:
+        count = math.prod(series.shape) // math.prod(directory.shape)
+        check_length(directory.dataoffsets[0] + count * directory.nbytes, length)
         return count
     # A page that was taken out of a stack may keep its description; then no second image follows.
     stated_count = (tiff.imagej_metadata or {}).get("images", 1)
-    if stated_count > 1 and length >= first.dataoffsets[0] + 2 * first.nbytes:
+    if stated_count > 1 and length >= directory.dataoffsets[0] + 2 * directory.nbytes:
         raise ImageError(f"the stack of {stated_count} images (ImageDescription) is cut short; copy the file again")
     return 1
 
@@ -249,8 +249,8 @@ def _count_bits(directory: tifffile.TiffPage, colours: str) -> int:
         )
     bits = directory.bitspersample
     if directory.dtype not in PIXEL_TYPES or bits < 8:
-        kind = f"{bits} bit" if directory.dtype is None else str(directory.dtype)
-        raise ImageError(f"holds {kind} pixels (SampleFormat, BitsPerSample {bits}); {ONE_CHANNEL}")
+        type_name = f"{bits} bit" if directory.dtype is None else str(directory.dtype)
+        raise ImageError(f"holds {type_name} pixels (SampleFormat, BitsPerSample {bits}); {ONE_CHANNEL}")
     return 0 if directory.dtype.kind == "f" else bits
 
 
@@ -261,8 +261,8 @@ def _check_tags(directory: tifffile.TiffPage, colours: str, bits: int) -> None:
     """
     white, black = tifffile.PHOTOMETRIC.MINISWHITE, tifffile.PHOTOMETRIC.MINISBLACK
     if directory.photometric not in (white, black) and not colours:
-        kind = _format_tag(directory.photometric)
-        raise ImageError(f"PhotometricInterpretation is {kind}; it must be MinIsBlack or MinIsWhite")
+        photometric_name = _format_tag(directory.photometric)
+        raise ImageError(f"PhotometricInterpretation is {photometric_name}; it must be MinIsBlack or MinIsWhite")
     if not bits and directory.photometric == white:
         raise ImageError("PhotometricInterpretation is MinIsWhite; of floating-point numbers it must be MinIsBlack")
     if directory.fillorder != 1:
