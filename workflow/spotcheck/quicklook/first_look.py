@@ -89,8 +89,7 @@ def look(
     ----------
     images : an array [rows, columns] in DN, a file, a folder, or several of them. The images of a folder are sorted by
         name, with numbers in numerical order; every page of a stack is an image.
-    z_m : position of each image along the beam [m], in the order of the images. By default, what the files or their
-        names state (`z_176mm.tif`).
+    z_m : position of each image along the beam [m]; by default what the files or their names state (`z_176mm.tif`).
     pixel_pitch_m : pixel pitch [m], for widths in metres.
     wavelength_m : wavelength [m]; M² needs it and the pixel pitch.
 
@@ -111,8 +110,7 @@ def look(
     >>> sensor = spotcheck.SensorModel(gain_dn_per_e=0.5, read_noise_e=5, black_level_dn=20, full_scale_dn=1023)
     >>> y, x = np.mgrid[:120, :160]
     >>> photons = 900 * np.exp(-(((x - 81.3) / 7) ** 2 + ((y - 62.6) / 5) ** 2) / 2)
-    >>> found = spotcheck.look(sensor.draw(photons, rng=1))
-    >>> width = found.images[0].moments
+    >>> width = spotcheck.look(sensor.draw(photons, rng=1)).images[0].moments
     >>> print(f"D4σ {width.major:.1f} ± {width.major_stderr:.1f} px, {width.minor:.1f} ± {width.minor_stderr:.1f} px")
     D4σ 27.9 ± 0.5 px, 19.7 ± 0.4 px
     """
