@@ -10,17 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Relative tolerance of exposure times: 0.1 % of the light is less than lamps and lasers drift, and a sweep in such
-# small steps could not show a growth.
+# Relative tolerance of exposure times. Lamps and lasers drift by more than 0.1 %, so no sweep has such small steps.
 EXPOSURE_TOLERANCE = 1e-3
 # Absolute tolerance of angles [deg], about 1e-3 rad: some ten times the repeatability of a rotation stage.
 ANGLE_TOLERANCE_DEG = 0.05
 # Tolerance of declared conditions relative to their range: a position has no natural zero.
 RANGE_TOLERANCE = 1e-3
-# Mostly different values whose relative range is below this look like one set value that was read back. Steps of
-# exposure sweeps and of positions are larger.
-READ_BACK_RANGE = {"exposure_s": 0.1}
-READ_BACK_RANGE_DEFAULT = 1e-3
+# If most values of a column differ and their range, relative to the largest, is below this, they look like readings of
+# one set value: by column, and for all other columns. Sweeps of exposures and of positions have larger ranges.
+READ_BACK_RANGE, READ_BACK_RANGE_DEFAULT = {"exposure_s": 0.1}, 1e-3
+# A column with fewer distinct values than this is not suspected.
+FEWEST_VALUES = 3
 
 
 # Repeats from which on every third one is held out.
@@ -47,25 +47,32 @@ def held_out_repeats(repeats: np.ndarray) -> np.ndarray:
 class MergedValues(NamedTuple):
     """Values of a column after merging."""
 
-    values: list[float | None]  # the mean of its group for each value; None stays None
-    unmerged_groups: list[tuple[float, float, int]]  # (lowest, highest, count): small steps, but wider than tolerated
+    values: list[float | None]  # for each value the mean of its group, in the unit of the column; None stays None
+    unmerged_groups: list[tuple[float, float, int]]  # (lowest, highest, number of distinct values) of too wide groups
 
 
 def merge_values(column: str, values: Sequence[float | None]) -> MergedValues:
-    """Merge the values of a column that belong to one condition.
+    """Merge the values of a column that belong to one condition: replace them by their mean.
 
-    Sorted values with steps below the tolerance form a group. A group wider than the tolerance is not merged.
+    Sorted values with steps below the tolerance form a group. A group wider than the tolerance may be a fine sweep, so
+    it is not merged.
 
     Parameters
     ----------
     column : name of the column, which selects the tolerance.
     values : the values in the unit of the column; None where blank.
+
+    Returns
+    -------
+    MergedValues
+        The merged values in the order of `values`, and the groups that are too wide to be merged.
     """
-    known = np.array([value for value in values if value is not None])
-    if not known.size:
+    known_values = np.array([value for value in values if value is not None])
+    if not known_values.size:
         return MergedValues(list(values), [])
-    distinct = np.unique(known)
+    distinct = np.unique(known_values)
     tolerances = _get_tolerances(column, distinct)
+    # A group starts behind each step that exceeds the tolerance of the value below it.
     starts = np.flatnonzero(np.diff(distinct) > tolerances[:-1]) + 1
     means: dict[float, float] = {}
     unmerged_groups = []
@@ -74,12 +81,14 @@ def merge_values(column: str, values: Sequence[float | None]) -> MergedValues:
         if high - low > group_tolerances[0]:
             unmerged_groups.append((low, high, len(group)))
         elif len(group) > 1:
-            means |= dict.fromkeys(group.tolist(), float(known[(known >= low) & (known <= high)].mean()))
+            # The mean of all rows, in which a value may occur several times.
+            in_group = (known_values >= low) & (known_values <= high)
+            means |= dict.fromkeys(group.tolist(), float(known_values[in_group].mean()))
     return MergedValues([None if value is None else means.get(value, value) for value in values], unmerged_groups)
 
 
 def _get_tolerances(column: str, distinct: np.ndarray) -> np.ndarray:
-    """Return how far above each ascending value of a column another value may lie to belong to its condition."""
+    """Return the tolerance of each ascending value of a column, in its unit: the largest distance of one condition."""
     if column == "exposure_s":
         return EXPOSURE_TOLERANCE * distinct
     absolute = ANGLE_TOLERANCE_DEG if column == "angle_deg" else RANGE_TOLERANCE * (distinct[-1] - distinct[0])
@@ -92,22 +101,27 @@ def check_spread(column: str, values: Sequence[float | None]) -> list[str]:
     Parameters
     ----------
     column : name of the column.
-    values : merged values of the spot frames; None where blank.
+    values : merged values of the spot frames, in the unit of the column; None where blank.
+
+    Returns
+    -------
+    list of str
+        One sentence for the whole column or for each unmerged group; empty if nothing is suspicious.
     """
-    known = [value for value in values if value is not None]
-    distinct = sorted(set(known))
-    if len(distinct) < 3:
+    known_values = [value for value in values if value is not None]
+    distinct = sorted(set(known_values))
+    if len(distinct) < FEWEST_VALUES:
         return []
     low, high = distinct[0], distinct[-1]
     advice = "write the value that was set, the same in every row that shares it, if they are read back"
     read_back_range = READ_BACK_RANGE.get(column, READ_BACK_RANGE_DEFAULT)
-    if len(distinct) > len(known) / 2 and high - low < read_back_range * max(abs(low), abs(high)):
+    if len(distinct) > len(known_values) / 2 and high - low < read_back_range * max(abs(low), abs(high)):
         return [
-            f"manifest.csv: {column} has {len(distinct)} different values in {len(known)} spot rows, all from"
+            f"manifest.csv: {column} has {len(distinct)} different values in {len(known_values)} spot rows, all from"
             f" {low:.6g} to {high:.6g}: nearly every frame is a condition of its own; {advice}"
         ]
     return [
         f"manifest.csv: {column} has {count} different values from {first:.6g} to {last:.6g} in steps below the"
         f" tolerance: each is a condition of its own; {advice}"
-        for first, last, count in merge_values(column, known).unmerged_groups
+        for first, last, count in merge_values(column, known_values).unmerged_groups
     ]

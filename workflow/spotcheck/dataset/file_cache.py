@@ -1,6 +1,6 @@
-"""Cached digests of files, which are valid as long as size, times and inode of a file are unchanged.
+"""Cache of the digests of files; a digest is valid as long as size, times and inode of its file are unchanged.
 
-A file with other content has another time of change (ctime), which no `cp -p`, `rsync -t` or `mv` can set.
+A file whose content was changed has another time of change (ctime), which `cp -p`, `rsync -t` and `mv` cannot set.
 """
 
 import json
@@ -16,41 +16,41 @@ from spotcheck.dataset.folder import Dataset
 from spotcheck.errors import InputError
 from spotcheck.io import atomic_files, provenance
 
-# A file must be unchanged for this long before it is read, or a later change may have the same time [ns]: disks count
-# time in steps of 4 ms, some network disks in seconds.
+# Age from which the times of a file identify its content [ns]. Disks count time in steps of 4 ms, some network disks in
+# seconds, so a file that is changed twice within a step keeps its times.
 MIN_AGE_NS = 2_000_000_000
 
 
 @dataclass(frozen=True)
 class FileRecord:
-    """Status and digest of a file."""
+    """Status (of `os.stat`) and digest of a file."""
 
     size: int  # [byte]
     mtime_ns: int  # time of modification [ns]
     ctime_ns: int  # time of change [ns]
     inode: int  # number of the file in its file system
     sha256: str  # digest of the content
-    is_final: bool  # whether a file with this status certainly has this content
+    is_final: bool  # whether a file with this status certainly has this content; False if it was changed just before
 
 
 def record_file(path: str | Path, earlier: FileRecord | None = None) -> FileRecord:
-    """Return the record of a file, which is read only if its status differs from an earlier record."""
-    # The status comes first: a change while the file is read then leads to another status.
-    now, status = time.time_ns(), Path(path).stat()
-    stamps = status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
-    if earlier is not None and earlier.is_final and astuple(earlier)[:4] == stamps:
+    """Return the record of a file, which is read only if `earlier` is missing, not final or of another status."""
+    # The status is taken before the file is read, so that a change while it is read leads to another status.
+    now_ns, status = time.time_ns(), Path(path).stat()
+    status_fields = status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino
+    if earlier is not None and earlier.is_final and astuple(earlier)[: len(status_fields)] == status_fields:
         return earlier
-    is_final = max(status.st_mtime_ns, status.st_ctime_ns) < now - MIN_AGE_NS
-    return FileRecord(*stamps, provenance.file_digest(path), is_final)
+    is_final = max(status.st_mtime_ns, status.st_ctime_ns) < now_ns - MIN_AGE_NS
+    return FileRecord(*status_fields, provenance.file_digest(path), is_final)
 
 
 def record_files(paths: Iterable[str | Path], earlier: Mapping[str, FileRecord]) -> dict[str, FileRecord]:
-    """Return the records of existing files by path, with the help of earlier ones."""
+    """Return the record of each existing file by its path; `earlier` records save reading unchanged files."""
     return {str(path): record_file(path, earlier.get(str(path))) for path in paths if Path(path).is_file()}
 
 
 def get_cache_path(results: Path) -> Path:
-    """Return the path of the cache in a results folder."""
+    """Return the path of the cache file in a results folder."""
     return results / ".runs" / "seen.json"
 
 
@@ -64,31 +64,32 @@ def read_cache(path: Path) -> dict[str, FileRecord]:
 
 
 def write_cache(records: dict[str, FileRecord], path: Path) -> None:
-    """Write records to the cache if they differ from its content."""
+    """Write records by path to the cache file if they differ from its content."""
     if records != read_cache(path):
         atomic_files.write_text(path, json.dumps({file: astuple(record) for file, record in records.items()}))
 
 
 @contextmanager
 def verify_unchanged(dataset: Dataset, table: xr.Dataset) -> Iterator[None]:
-    """Verify, before and after the frames of a dataset are read again, that their files are those in frames.nc.
+    """Verify before and after a `with` block that the files of all frames are unchanged since they were ingested.
 
     Parameters
     ----------
-    dataset : the dataset.
-    table : content of frames.nc, with the digest of each file.
+    dataset : dataset whose frames are read in the block.
+    table : content of frames.nc: the SHA-256 of each file when it was ingested.
 
     Raises
     ------
     InputError
-        If a file is not in the table, or its content differs.
+        If a file is missing in the table or on the disk, or its content differs.
     """
     digests = dict(zip(map(str, table["file"].values), map(str, table["sha256"].values), strict=True))
-    # A table in memory has no file, and so no cache beside it.
+    # frames.nc lies in the results folder; a table in memory has no file, and thus no cache.
     cache = read_cache(get_cache_path(Path(table.encoding.get("source", "nowhere")).parent))
     files = {str(dataset.folder / frame.path): frame.file for frame in dataset.frames}
 
     def verify(earlier: Mapping[str, FileRecord]) -> dict[str, FileRecord]:
+        """Return the records of all files. Raises `InputError` for the first one that differs from the table."""
         records = record_files(files, earlier)
         for path, file in files.items():
             if file not in digests:

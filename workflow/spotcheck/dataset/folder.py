@@ -14,26 +14,29 @@ from spotcheck.dataset.manifest import KINDS, Frame, parse_number, read_manifest
 from spotcheck.errors import InputError
 from spotcheck.io.formats.names import IMAGE_SUFFIXES
 
-# Units of manifest columns, by the end of their names.
+# Unit of a manifest column by the suffix of its name.
 UNIT_OF_SUFFIX = {"_m": "m", "_s": "s", "_k": "K", "_deg": "degree"}
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of the grid of spots."""
+    """An axis of the grid of spots: one of the quantities that the spot frames vary."""
 
     name: str  # name of the dimension
-    values: tuple[float, ...] | None  # ascending; None if not recorded, then the length is 1
+    values: tuple[float, ...] | None  # distinct values, ascending; None if not recorded
     units: str  # unit of the values
     long_name: str  # description for tables and plots
 
     @property
     def size(self) -> int:
-        """Length of the axis."""
+        """Number of positions on the axis; 1 if its values were not recorded."""
         return 1 if self.values is None else len(self.values)
 
     def index(self, value: float | None) -> int:
-        """Return the position of a value on the axis."""
+        """Return the position of a value on the axis, from 0.
+
+        None has position 0: `read_manifest` refuses columns that are blank in some spot rows only.
+        """
         return 0 if self.values is None or value is None else bisect_left(self.values, value)
 
 
@@ -45,11 +48,12 @@ class Dataset:
 
     Attributes
     ----------
-    folder : the folder.
+    folder : absolute path of the folder.
     instrument : the content of instrument.yaml, in sections such as `instrument.sensor`, with defaults.
     frames : every row of the manifest, in its order: `file`, `kind`, `angle_deg`, `exposure_s`, `repeat` and others.
     spots : the frames of kind `spot`. `read_image` gives the pixels of a frame.
-    axes : the grid that the spots span: angle, exposure, repeat, and the declared conditions.
+    axes : axes of the grid that the spots span: angle, exposure, repeat, and the declared conditions, which are further
+        columns of the manifest that instrument.yaml names.
     exposures : exposure times of the spots [s], ascending.
 
     Examples
@@ -67,6 +71,7 @@ class Dataset:
     frames: tuple[Frame, ...]
 
     def __repr__(self) -> str:
+        """Return the name, the number of frames of each kind, and the recorded axes with their lengths."""
         counts = {kind: sum(frame.kind == kind for frame in self.frames) for kind in KINDS}
         kinds = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items() if count)
         axes = ", ".join(f"{axis.name} ({axis.size})" for axis in self.axes if axis.values is not None)
@@ -74,12 +79,12 @@ class Dataset:
 
     @property
     def name(self) -> str:
-        """Name of the folder, under which results are filed."""
+        """Name of the folder, which is also the name of its results folder."""
         return self.folder.name
 
     @property
     def instrument_files(self) -> list[Path]:
-        """Path of instrument.yaml, which need not exist, and the existing files that it names."""
+        """Paths of instrument.yaml, which need not exist, and of the existing files that it names."""
         return [self.folder / "instrument.yaml", *self.instrument.files]
 
     @property
@@ -116,7 +121,7 @@ class Dataset:
         return tuple(axis.size for axis in self.axes)
 
     def cells(self) -> Iterator[tuple[tuple[int, ...], Frame]]:
-        """Yield the index on the grid and the frame of every spot."""
+        """Yield the index on the grid, a position on each of `axes`, and the frame of every spot, in manifest order."""
         angle, exposure, repeat, *conditions = self.axes
         for frame in self.spots:
             index = [angle.index(frame.angle_deg), exposure.index(frame.exposure_s), repeat.index(frame.repeat)]
@@ -125,7 +130,7 @@ class Dataset:
 
 
 def _build_axis(name: str, values: Sequence[float | None], units: str, long_name: str) -> Axis:
-    """Return the axis of the distinct values."""
+    """Return the axis of the distinct values of all spots; None stands for a blank cell."""
     distinct = sorted({value for value in values if value is not None})
     return Axis(name, tuple(distinct) or None, units, long_name)
 
@@ -166,25 +171,27 @@ def load(folder: str | Path) -> Dataset:
     return Dataset(folder, instrument, frames)
 
 
-def find_dataset(name: str, shelf: Path) -> Path:
-    """Return the folder of a dataset.
+def find_dataset(name: str, datasets_folder: Path) -> Path:
+    """Return the absolute path of the folder of a dataset.
 
     Parameters
     ----------
-    name : path of the dataset, or its name in `shelf`.
-    shelf : folder of datasets.
+    name : path of the dataset, which takes precedence, or its name in `datasets_folder`.
+    datasets_folder : folder that holds dataset folders.
 
     Raises
     ------
     InputError
-        If there is no such dataset, or its path contains braces.
+        If there is no such dataset, or if its path contains braces, which Snakemake takes for wildcards.
     """
-    for folder in (Path(name), shelf / name):
+    for folder in (Path(name), datasets_folder / name):
         if (folder / "manifest.csv").is_file():
             if set("{}") & set(str(folder.resolve())):
                 raise InputError(f"{folder}: has braces in its path; rename it")
             return folder.resolve()
-    raise InputError(f"{name}: no folder with a manifest.csv, neither as a path nor as a name in {shelf.name}/")
+    raise InputError(
+        f"{name}: no folder with a manifest.csv, neither as a path nor as a name in {datasets_folder.name}/"
+    )
 
 
 def check_files(dataset: Dataset) -> None:
@@ -193,25 +200,28 @@ def check_files(dataset: Dataset) -> None:
     Raises
     ------
     InputError
-        For the first file that is missing on either side.
+        For the first file of the manifest that does not exist, or the first image in frames/ without a row.
     """
     for frame in dataset.frames:
         if not (dataset.folder / frame.path).is_file():
             similar = _find_similar_file(dataset.folder, frame.path)
             advice = f", but {similar} is; correct the row" if similar else "; add the file or drop the row"
             raise InputError(f"manifest.csv line {frame.line}: {frame.path} is not there{advice}")
-    named = {(dataset.folder / frame.path).resolve() for frame in dataset.frames}
+    named_files = {(dataset.folder / frame.path).resolve() for frame in dataset.frames}
     for image in sorted((dataset.folder / "frames").rglob("*")):
         path = image.relative_to(dataset.folder)
         is_image = image.suffix.lower() in IMAGE_SUFFIXES and image.is_file()
-        if is_image and not is_hidden(path) and image.resolve() not in named:
+        if is_image and not is_hidden(path) and image.resolve() not in named_files:
             raise InputError(
                 f"{path.as_posix()}: an image that manifest.csv does not name; add a row or move it out of frames/"
             )
 
 
 def _find_similar_file(folder: Path, file: str) -> str | None:
-    """Return a file with the same name, ignoring case, in the dataset folder or frames/; None if there is none."""
+    """Return the relative path of a file with the same name, ignoring case, in the dataset folder or frames/.
+
+    Returns None if there is none.
+    """
     for path in (*folder.glob("*"), *folder.glob("frames/*")):
         if path.name.lower() == Path(file).name.lower() and path.is_file():
             return path.relative_to(folder).as_posix()

@@ -1,4 +1,8 @@
-"""Reading of frames, and their reduction to block, row and column means."""
+"""Reading of frames, the mask of bad pixels, and the reduction of frames to block, row and column means.
+
+A frame is one row of the manifest: a file, or a page of a file that holds a stack. Bad pixels, which instrument.yaml
+names, are NaN in masked images. On a colour sensor a frame is one colour plane: the pixels behind one filter.
+"""
 
 from functools import lru_cache
 from itertools import groupby
@@ -17,7 +21,7 @@ from spotcheck.io.formats.page import PREVIEW_MESSAGE, Page
 
 # Side of the blocks of a reduced frame [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
-# Runs of pages that a message lists.
+# Most runs of consecutive pages that a message lists.
 MOST_RUNS = 5
 
 
@@ -26,15 +30,15 @@ class FrameFormat(NamedTuple):
 
     shape: tuple[int, int]  # rows and columns [px]
     bits: int  # bits of a stored pixel
-    remarks: tuple[str, ...] = ()  # remarks on pages that no row names
+    remarks: tuple[str, ...] = ()  # remarks on pages that no row of the manifest names
 
 
 class ReducedFrame(NamedTuple):
-    """Means of a whole frame [DN]."""
+    """Means of a whole frame [DN]; NaN if all their pixels are bad."""
 
-    block_mean: np.ndarray  # [block_row, block_column], blocks of `BLOCK_PX`
-    row_mean: np.ndarray  # [row]
-    column_mean: np.ndarray  # [column]
+    block_mean: np.ndarray  # means of square blocks of at most `BLOCK_PX`, shape [block_row, block_column]
+    row_mean: np.ndarray  # means of rows, shape [row]
+    column_mean: np.ndarray  # means of columns, shape [column]
 
 
 def check_formats(dataset: Dataset) -> FrameFormat:
@@ -48,43 +52,48 @@ def check_formats(dataset: Dataset) -> FrameFormat:
     pages = _read_pages(dataset)
     remarks = _check_pages_without_row(dataset, pages)
     first_frame = dataset.frames[0]
-    first = pages[first_frame.file][first_frame.page]
-    rows, columns = first.shape
+    first_page = pages[first_frame.file][first_frame.page]
+    rows, columns = first_page.shape
     for frame in dataset.frames:
         page = pages[frame.file][frame.page]
-        if page.shape != first.shape:
+        if page.shape != first_page.shape:
             raise InputError(
                 f"{frame.label}: {page.shape[1]} × {page.shape[0]} px, but {first_frame.label} has"
                 f" {columns} × {rows} px; all frames of a dataset must have one size"
             )
-        if page.bits != first.bits:
+        if page.bits != first_page.bits:
             raise InputError(
-                f"{frame.label}: {page.bits} bit, but {first_frame.label} has {first.bits} bit;"
+                f"{frame.label}: {page.bits} bit, but {first_frame.label} has {first_page.bits} bit;"
                 f" all frames of a dataset must have one depth"
             )
     instrument = dataset.instrument
+    # Without a bit depth, at least one bit must remain beside the unused low bits.
     declared_bits = (instrument.sensor.bit_depth or 1) + instrument.sensor.value_shift_bits
-    if declared_bits > first.bits:
+    if declared_bits > first_page.bits:
         raise InputError(
             f"{instrument.get_file_name('sensor.bit_depth')}: sensor.bit_depth and value_shift_bits ask for"
-            f" {declared_bits} bits, but the frames hold {first.bits}; together they must not exceed that"
+            f" {declared_bits} bits, but the frames hold {first_page.bits}; together they must not exceed that"
         )
-    if dataset.spots and instrument.crop_px > min(first.shape):
+    if dataset.spots and instrument.crop_px > min(rows, columns):
         raise InputError(
             f"instrument.yaml: crop_px is {instrument.crop_px}, but the frames have {columns} × {rows} px;"
-            f" it must be at most {min(first.shape)}"
+            f" it must be at most {min(rows, columns)}"
         )
-    build_bad_pixel_mask(instrument.bad_pixels, first.shape, get_colour(instrument))
-    return FrameFormat(first.shape, first.bits, remarks)
+    # Only for its errors.
+    build_bad_pixel_mask(instrument.bad_pixels, first_page.shape, get_colour(instrument))
+    return FrameFormat(first_page.shape, first_page.bits, remarks)
 
 
 def get_colour(instrument: Instrument) -> Colour:
-    """Return the colour plane that is taken of the frames of a dataset."""
+    """Return the colour plane that is read from the frames of a dataset; `MONOCHROME` for frames without colours."""
     return Colour(instrument.sensor.channel, instrument.sensor.bayer)
 
 
 def _read_pages(dataset: Dataset) -> dict[str, list[Page]]:
-    """Return the pages of each file of the manifest. Raises `InputError` for a row whose page is not an image."""
+    """Return the page headers of each file of the manifest, by file.
+
+    Raises `InputError` for a file that cannot be read, and for a row whose page does not exist or is a preview.
+    """
     pages: dict[str, list[Page]] = {}
     for frame in dataset.frames:
         if frame.file not in pages:
@@ -100,30 +109,28 @@ def _read_pages(dataset: Dataset) -> dict[str, list[Page]]:
 
 
 def _check_pages_without_row(dataset: Dataset, pages: dict[str, list[Page]]) -> tuple[str, ...]:
-    """Return remarks on pages in frames/ that no row names.
+    """Return one remark on each stack in frames/ with pages that no row names; `pages` are those of each file.
 
-    Raises `InputError` if the first page of a stack alone has a row: the user may not know that it is a stack.
+    Raises `InputError` if only the first page of a stack has a row: the user may not know that it is a stack.
     """
-    named = {(frame.file, frame.page) for frame in dataset.frames}
+    named_pages = {(frame.file, frame.page) for frame in dataset.frames}
     remarks = []
     for file, file_pages in pages.items():
-        unnamed = [k for k, page in enumerate(file_pages) if (file, k) not in named and not page.preview]
+        image_pages = (page_number for page_number, page in enumerate(file_pages) if not page.preview)
+        unnamed = [page_number for page_number in image_pages if (file, page_number) not in named_pages]
         if not unnamed or Path(file).parts[0] != "frames":
             continue
-        is_plural = len(unnamed) > 1
-        remark = (
-            f"{file}: page{'s' if is_plural else ''} {_format_runs(unnamed)}"
-            f" {'are' if is_plural else 'is'} named by no row of manifest.csv"
-        )
-        if not any((file, k) in named for k in range(1, len(file_pages))):
+        plural, verb = ("s", "are") if len(unnamed) > 1 else ("", "is")
+        remark = f"{file}: page{plural} {_format_runs(unnamed)} {verb} named by no row of manifest.csv"
+        if not any((file, page_number) in named_pages for page_number in range(1, len(file_pages))):
             raise InputError(f"{remark}; add a row with its page for each, or move the file out of frames/")
         remarks.append(remark)
     return tuple(remarks)
 
 
 def _format_runs(numbers: list[int]) -> str:
-    """Return ascending numbers as runs: `1 to 8, 11`."""
-    # Consecutive numbers have a constant difference from their positions.
+    """Return ascending numbers as text, consecutive ones as a run: `1 to 8, 11`."""
+    # Consecutive numbers have a constant difference from their positions in the list.
     runs = [[number for _, number in run] for _, run in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])]
     texts = [f"{run[0]} to {run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs]
     return ", ".join(texts if len(texts) <= MOST_RUNS else [*texts[:MOST_RUNS], "…"])
@@ -137,9 +144,9 @@ def build_bad_pixel_mask(
 
     Parameters
     ----------
-    bad_pixels : section of instrument.yaml, in coordinates of the sensor.
-    shape : rows and columns of a frame [px]; of a Bayer sensor those of one colour plane.
-    colour : colour plane that is taken of the frames.
+    bad_pixels : section of instrument.yaml, in pixels of the files from 0.
+    shape : rows and columns of a frame [px]; of a Bayer sensor those of one colour plane, half of those of the file.
+    colour : colour plane that is read from the frames.
 
     Returns
     -------
@@ -169,10 +176,10 @@ def build_bad_pixel_mask(
         ("pixels", "x", columns, pixels_x),
         ("pixels", "y", rows, pixels_y),
     ):
-        outside = next((coordinate for coordinate in coordinates if coordinate >= size), None)
-        if outside is not None:
+        first_outside = next((coordinate for coordinate in coordinates if coordinate >= size), None)
+        if first_outside is not None:
             raise InputError(
-                f"instrument.yaml: key bad_pixels.{key} names {axis} = {outside}, but the frames have"
+                f"instrument.yaml: key bad_pixels.{key} names {axis} = {first_outside}, but the frames have"
                 f" {columns} × {rows} px; it must be at most {size - 1}"
             )
     is_bad[:, list(bad_pixels.columns)] = True
@@ -185,7 +192,9 @@ def build_bad_pixel_mask(
 
 
 def read_image(dataset: Dataset, frame: Frame) -> np.ndarray:
-    """Return the pixels of a frame [rows, columns] in DN, unsigned, shifted out of a left-aligned container.
+    """Return the pixels of a frame [rows, columns] in DN, as uint8 or uint16.
+
+    Readings that are stored left-aligned are shifted to the right by `sensor.value_shift_bits`.
 
     Parameters
     ----------
@@ -224,7 +233,7 @@ def read_image(dataset: Dataset, frame: Frame) -> np.ndarray:
 
 
 def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
-    """Return the pixels of a frame as `read_image`; if pixels are bad, as float32 with NaN in their place."""
+    """Return the pixels of a frame as `read_image` does; if some are bad, as float32 with NaN in their place."""
     pixels = read_image(dataset, frame)
     rows, columns = pixels.shape
     instrument = dataset.instrument
@@ -233,17 +242,23 @@ def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
 
 
 def select_good_readings(pixels: np.ndarray) -> np.ndarray:
-    """Return the unsigned readings [DN] of all pixels that are not NaN; an image without bad pixels itself."""
+    """Return the unsigned readings [DN] of the pixels that are not NaN, shape [pixel].
+
+    An image of unsigned integers has no bad pixels and is returned unchanged [rows, columns].
+    """
     return pixels if pixels.dtype.kind == "u" else pixels[~np.isnan(pixels)].astype(np.uint16)
 
 
 def get_full_scale(instrument: Instrument, container_bits: int) -> int:
-    """Return the largest possible reading [DN] of the converter, or of the container if its depth is not given."""
+    """Return the largest possible reading [DN] of the converter.
+
+    If its bit depth is not given, it is that of a stored pixel of `container_bits`, less the unused low bits.
+    """
     return 2 ** (instrument.sensor.bit_depth or container_bits - instrument.sensor.value_shift_bits) - 1
 
 
 def reduce_frame(pixels: np.ndarray) -> ReducedFrame:
-    """Return block means, row means and column means of a frame [rows, columns] without its NaN pixels."""
+    """Return block, row and column means of a frame [rows, columns] in DN; NaN pixels do not count."""
     side = min(BLOCK_PX, *pixels.shape)
     return ReducedFrame(
         average_blocks(pixels, side), average_good_pixels(pixels, axis=1), average_good_pixels(pixels, axis=0)
@@ -251,7 +266,10 @@ def reduce_frame(pixels: np.ndarray) -> ReducedFrame:
 
 
 def average_good_pixels(pixels: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
-    """Return the mean along axes without NaN pixels; NaN, without a warning, if all pixels are NaN."""
+    """Return the float64 means along axes of an array of any shape, unsigned or float; NaN pixels do not count.
+
+    A mean of NaN pixels alone is NaN, without a warning.
+    """
     if pixels.dtype.kind != "f":
         return np.asarray(pixels.mean(axis=axis, dtype=np.float64))
     count = np.count_nonzero(~np.isnan(pixels), axis=axis)
@@ -260,25 +278,25 @@ def average_good_pixels(pixels: np.ndarray, axis: int | tuple[int, ...]) -> np.n
 
 
 def count_blocks(length: int, shape: tuple[int, int]) -> int:
-    """Return the number of blocks of a reduced frame along a side of a frame of `shape`."""
+    """Return the number of blocks along a side of `length` px of a reduced frame of `shape` (rows, columns)."""
     return length // min(BLOCK_PX, *shape)
 
 
 def average_blocks(pixels: np.ndarray, side: int) -> np.ndarray:
-    """Return the means of square blocks without NaN pixels; incomplete blocks at the right and lower border are cut.
+    """Return the means of square blocks; NaN pixels do not count.
+
+    Incomplete blocks at the right and lower border are dropped.
 
     Parameters
     ----------
-    pixels : [rows, columns], unsigned or float.
+    pixels : readings [rows, columns] in any unit, unsigned or float.
     side : side of a block [px].
 
     Returns
     -------
     array
-        [rows // side, columns // side].
+        float64, shape [rows // side, columns // side]; NaN where all pixels of a block are.
     """
     rows, columns = pixels.shape[0] // side, pixels.shape[1] // side
     blocks = pixels[: rows * side, : columns * side].reshape(rows, side, columns, side)
-    if pixels.dtype.kind == "f":
-        return average_good_pixels(blocks, axis=(1, 3))
-    return blocks.sum(axis=(1, 3), dtype=np.uint32) / side**2
+    return average_good_pixels(blocks, axis=(1, 3))

@@ -1,4 +1,7 @@
-"""instrument.yaml: its keys with their defaults, with one message for each possible mistake."""
+"""instrument.yaml: its keys with their defaults, and one message for each possible mistake.
+
+A condition is a column of the manifest that instrument.yaml declares as an axis of the experiment.
+"""
 
 import math
 import re
@@ -26,7 +29,7 @@ RESERVED = {
 class Sensor:
     """Section `sensor`; None marks a missing key without a default."""
 
-    pixel_pitch_m: float | None = None  # pixel pitch [m]; with `bayer` that of one colour plane, twice the sensor's
+    pixel_pitch_m: float | None = None  # pixel pitch [m]; with `bayer` that of a colour plane: twice the sensor's
     bit_depth: int | None = None  # bits of the analogue-to-digital converter
     full_scale_dn: int | None = None  # largest reading if the converter stops below its bits [DN]
     gain_dn_per_e: float | None = None  # system gain K [DN/e-]
@@ -35,13 +38,13 @@ class Sensor:
     quantum_efficiency: float = 1.0  # electrons per photon
     full_well_e: float | None = None  # saturation capacity [e-]
     black_level_dn: float = 0.0  # reading without light [DN]
-    response_bend: float = 0.0  # q: a signal y above black is read as y - q y²/full scale
+    response_bend: float = 0.0  # curvature q: a signal y above black is read as y - q y²/full scale
     value_shift_bits: int = 0  # unused low bits of left-aligned readings
     gain_dn_per_e_stderr: float = 0.0  # standard error of `gain_dn_per_e` [DN/e-]
     read_noise_e_stderr: float = 0.0  # standard error of `read_noise_e` [e-]
     black_level_dn_stderr: float = 0.0  # standard error of `black_level_dn` [DN]
-    channel: str | None = None  # colour to take: red, green or blue; of a Bayer sensor green_r or green_b for green
-    bayer: str | None = None  # filter colours of the upper left 2 x 2 pixels, row by row, such as RGGB
+    channel: str | None = None  # colour to read: red, green or blue; on a Bayer sensor green_r or green_b, not green
+    bayer: str | None = None  # filter colours of the upper left 2 x 2 pixels, row by row, such as RGGB; None: no Bayer
 
 
 @dataclass(frozen=True)
@@ -77,19 +80,19 @@ class ModelChoice:
     """Section `model`: the baseline model of the simulation."""
 
     photon_budget: str = "linear"  # law of the peak over exposure time: spot_area, linear or free
-    top_hat: bool = False  # whether the peak is cut at exp(-1/4) of it (Eqs. 39-40)
+    top_hat: bool = False  # whether the peak is cut at exp(-1/4) of it (Eqs. 39-40 of the paper)
 
 
 @dataclass(frozen=True)
 class Light:
-    """Section `light`."""
+    """Section `light`; None marks a missing key."""
 
     profile: str | None = None  # file with a light shape that was learned before; absolute path once read
 
 
 @dataclass(frozen=True)
 class BadPixels:
-    """Section `bad_pixels`: pixels of the sensor that are not used."""
+    """Section `bad_pixels`: pixels that are not used, by their column x and row y [px] from 0."""
 
     mask: str | None = None  # image whose non-zero pixels are bad; absolute path once read
     columns: tuple[int, ...] = ()  # x of whole columns
@@ -97,6 +100,7 @@ class BadPixels:
     pixels: tuple[tuple[int, int], ...] = ()  # (x, y) of single pixels
 
 
+# Source of a value that no file gives.
 DEFAULT = "default"
 
 
@@ -104,10 +108,10 @@ DEFAULT = "default"
 class Instrument:
     """The content of instrument.yaml with its defaults."""
 
-    based_on: str | None = None  # shared instrument file below this one; absolute path once read
+    based_on: str | None = None  # shared instrument file that gives the missing keys; absolute path once read
     name: str | None = None  # title of the dataset
     order_known: bool = True  # whether the rows of the manifest are in the order of acquisition
-    conditions: tuple[str, ...] = ()  # further columns of the manifest that are axes of the experiment
+    conditions: tuple[str, ...] = ()  # names of the declared conditions
     crop_px: int = 240  # side of the crops around spots [px]
     sensor: Sensor = field(default_factory=Sensor)  # section `sensor`
     optics: Optics = field(default_factory=Optics)  # section `optics`
@@ -117,34 +121,36 @@ class Instrument:
     light: Light = field(default_factory=Light)  # section `light`
     bad_pixels: BadPixels = field(default_factory=BadPixels)  # section `bad_pixels`
     given_keys: frozenset[str] = frozenset()  # keys that have a value in a file, such as "sensor.bit_depth"
-    inherited_keys: frozenset[str] = frozenset()  # those of them that only the shared file has
+    inherited_keys: frozenset[str] = frozenset()  # those of `given_keys` that only the shared file has
 
     def get_source(self, key: str) -> str:
-        """Return the source of the value of a key such as "sensor.gain_dn_per_e": `DEFAULT` or the name of a file."""
+        """Return the source of a key such as "sensor.gain_dn_per_e": `DEFAULT`, or the file as a phrase."""
         if key not in self.given_keys:
             return DEFAULT
         return self.get_file_name(key) + (", on which instrument.yaml is based" if key in self.inherited_keys else "")
 
     @property
     def files(self) -> list[Path]:
-        """Existing files that instrument.yaml names: the shared file, the light profile, the mask of bad pixels."""
+        """Existing files that instrument.yaml names: shared file, light profile, mask of bad pixels."""
         names = (self.based_on, self.light.profile, self.bad_pixels.mask)
         return [path for name in names if name and (path := Path(name)).exists()]
 
     def get_file_name(self, key: str) -> str:
-        """Return the name of the file that has a key, or would have to have it."""
+        """Return the name of the file that has a key such as "sensor.bit_depth", or to which it should be added."""
         return Path(self.based_on).name if key in self.inherited_keys and self.based_on else "instrument.yaml"
 
     @property
     def laser_sigma_m(self) -> float | None:
-        """σ_la [m], the mean of both FWHM over 2√(2 ln 2); None when a width is missing."""
+        """Standard deviation σ_la of the laser [m]: the mean of both FWHM over 2√(2 ln 2); None if one is missing."""
         if self.laser.fwhm_x_m is None or self.laser.fwhm_y_m is None:
             return None
         return (self.laser.fwhm_x_m + self.laser.fwhm_y_m) / 2 / math.sqrt(8 * math.log(2))
 
 
-# Record of each section of instrument.yaml.
-SECTIONS: dict[str, Any] = {part.name: part.type for part in fields(Instrument) if is_dataclass(part.type)}
+# Dataclass of each section of instrument.yaml, by name.
+SECTIONS: dict[str, Any] = {entry.name: entry.type for entry in fields(Instrument) if is_dataclass(entry.type)}
+# Keys of sections and of the top level whose values are integers, or lists of them.
+INTEGER_KEYS = ("crop_px", "bit_depth", "full_scale_dn", "value_shift_bits", "columns", "rows", "pixels")
 
 
 def read_instrument(path: Path) -> Instrument:
@@ -152,7 +158,7 @@ def read_instrument(path: Path) -> Instrument:
 
     Parameters
     ----------
-    path : path of the file; all keys have their defaults if it does not exist.
+    path : path of the file. If it does not exist, all keys have their defaults; a broken link is an error.
 
     Raises
     ------
@@ -162,7 +168,7 @@ def read_instrument(path: Path) -> Instrument:
     if not path.exists() and not path.is_symlink():
         return Instrument()
     content = _read_content(path)
-    own_keys = _list_keys(content)
+    keys_of_this_file = _list_keys(content)
     if "based_on" in content:
         content = _merge_shared_file(path, content)
     given_keys = _list_keys(content)
@@ -174,39 +180,49 @@ def read_instrument(path: Path) -> Instrument:
     sections["sensor"] = _adapt_to_colour_plane(path, sections["sensor"], sections["optics"])
     content["conditions"] = tuple(content.get("conditions", ()))
     _check_conditions(path, content["conditions"])
-    return Instrument(
-        **_convert_values(content), **sections, given_keys=given_keys, inherited_keys=given_keys - own_keys
-    )
+    inherited_keys = given_keys - keys_of_this_file
+    return Instrument(**_convert_values(content), **sections, given_keys=given_keys, inherited_keys=inherited_keys)
 
 
 def _read_content(path: Path) -> dict[str, Any]:
-    """Return the keys of one file, with absolute paths of the files that it names. Raises `InputError`."""
-    # A section without keys below it (`sensor:`) is an empty section, not a wrong one.
+    """Return the keys of one file, valid by the schema, with absolute paths of the files that it names.
+
+    Sections are dictionaries. Raises `InputError`.
+    """
+    # A section without keys below it (`sensor:`) is an empty section, not an error.
     content = {key: ({} if value is None and key in SECTIONS else value) for key, value in read_keys(path).items()}
-    if breach := find_violation(content, "instrument"):
-        raise InputError(f"{path.name}: {breach}{_suggest_unit_for(content, breach)}")
+    if violation := find_violation(content, "instrument"):
+        raise InputError(f"{path.name}: {violation}{_suggest_unit_for(content, violation)}")
     _resolve_path(path, content, "", "based_on", "an instrument file")
     _resolve_path(path, content, "light", "profile", "a light.nc")
     _resolve_path(path, content, "bad_pixels", "mask", "an image")
     return content
 
 
-def _suggest_unit_for(content: dict[str, Any], breach: str) -> str:
-    """Return in which unit a refused number would be a usual one, in brackets; "" if in none."""
-    for key, usual in USUAL_RANGES.items():
+def _suggest_unit_for(content: dict[str, Any], violation: str) -> str:
+    """Return in brackets the units in which a number outside its bounds would be usual; "" if there are none.
+
+    `violation` is the sentence of `find_violation` on it; for other violations the result is "".
+    """
+    for key, usual_range in USUAL_RANGES.items():
         section, _, name = key.partition(".")
-        if f"key {key} is " in breach and isinstance(content[section][name], int | float):
-            suggestion = suggest_unit(content[section][name], usual)
+        if f"key {key} is " in violation and isinstance(content[section][name], int | float):
+            suggestion = suggest_unit(content[section][name], usual_range)
             return f" ({suggestion})" if suggestion else ""
     return ""
 
 
 def _resolve_path(path: Path, content: dict[str, Any], section: str, key: str, expected: str) -> None:
-    """Replace the path of a file relative to the dataset folder by its absolute path. Raises `InputError`."""
+    """Replace the value of a key in `content`, if it is there, by an absolute path. Raises `InputError`.
+
+    The value is a path relative to the folder of the file `path`. `section` is "" for a key of the top level, and
+    `expected` says in a message what the file must be.
+    """
     keys = content.get(section, {}) if section else content
     if key not in keys:
         return
     name, full_key = keys[key], f"{section}.{key}" if section else key
+    # Snakemake takes braces for wildcards, and no path can contain NUL.
     if re.search("[{}\0]", name):
         raise InputError(f"{path.name}: key {full_key} is {name!r}; it must be a path without braces")
     file = path.parent / name
@@ -219,25 +235,32 @@ def _resolve_path(path: Path, content: dict[str, Any], section: str, key: str, e
 
 
 def _merge_shared_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of a file above those of the shared file on which it is based. Raises `InputError`."""
+    """Return the keys of a file, completed by those of the shared file on which it is based.
+
+    The keys of the file itself take precedence, also within each section. The result has every section, perhaps empty.
+    Raises `InputError` if the shared file is based on another one.
+    """
     shared = _read_content(Path(content["based_on"]))
     if "based_on" in shared:
         raise InputError(
-            f"{path.name}: key based_on names {Path(content['based_on']).name}, which has such a key itself; one"
-            " file may stand below another, and no third"
+            f"{path.name}: key based_on names {Path(content['based_on']).name}, which has such a key itself; a shared"
+            " file must not be based on another one"
         )
     sections = {name: shared.get(name, {}) | content.get(name, {}) for name in SECTIONS}
     return shared | content | sections
 
 
 def _list_keys(content: dict[str, Any]) -> frozenset[str]:
-    """Return the keys that have a value, with their section: "sensor.bit_depth"."""
+    """Return the names of the keys that have a value, with their section: "sensor.bit_depth"."""
     top_level = {name for name in content if name not in SECTIONS}
     return frozenset(top_level | {f"{name}.{key}" for name in SECTIONS for key in content.get(name, {})})
 
 
 def _adapt_to_colour_plane(path: Path, sensor: Sensor, optics: Optics) -> Sensor:
-    """Return the sensor with the pitch of a colour plane. Raises `InputError` for keys that exclude each other."""
+    """Return the sensor with the pixel pitch of a colour plane, which is twice that of a Bayer sensor.
+
+    Raises `InputError` for keys that exclude each other.
+    """
     if sensor.bayer is None:
         if sensor.channel in ("green_r", "green_b"):
             raise InputError(
@@ -258,7 +281,7 @@ def _adapt_to_colour_plane(path: Path, sensor: Sensor, optics: Optics) -> Sensor
 
 
 def _check_conditions(path: Path, conditions: tuple[str, ...]) -> None:
-    """Raise `InputError` for a condition that is a reserved name or not a word."""
+    """Raise `InputError` for the name of a condition that is reserved or not a word."""
     for condition in conditions:
         if condition in RESERVED:
             raise InputError(
@@ -271,11 +294,13 @@ def _check_conditions(path: Path, conditions: tuple[str, ...]) -> None:
 
 
 def _convert_values(section: dict[str, Any]) -> dict[str, Any]:
-    """Return integer keys as integers, since the schema accepts 240.0 but slices do not; lists become tuples."""
-    integer_keys = ("crop_px", "bit_depth", "full_scale_dn", "value_shift_bits", "columns", "rows", "pixels")
-    return {key: _convert_integers(value) if key in integer_keys else value for key, value in section.items()}
+    """Return the keys of a section with the values of `INTEGER_KEYS` as integers, and their lists as tuples.
+
+    The schema accepts 240.0, which slices do not.
+    """
+    return {key: _convert_integers(value) if key in INTEGER_KEYS else value for key, value in section.items()}
 
 
 def _convert_integers(value: Any) -> Any:
-    """Return a number as an integer, and nested lists of numbers as tuples of integers."""
+    """Return a whole number as an integer, and nested lists of such numbers as nested tuples of integers."""
     return tuple(map(_convert_integers, value)) if isinstance(value, list) else int(value)

@@ -1,4 +1,8 @@
-"""manifest.csv: one row per frame, with one message for each possible mistake."""
+"""manifest.csv: one row per frame, with one message for each possible mistake.
+
+A condition is a column that instrument.yaml declares as an axis of the experiment. Siblings are frames of one condition
+or neighbours in a series, which are compared with each other to find outliers.
+"""
 
 import csv
 import math
@@ -18,15 +22,16 @@ KINDS = ("spot", "dark", "flat")
 REQUIRED_COLUMNS = ("file", "kind", "angle_deg", "exposure_s", "repeat")
 # Column with the light on a flat [photons per pixel].
 PHOTONS = "photons_per_px"
-# Column that decides whether a frame is used; if blank, the comparison with its siblings decides.
+# Column that decides whether a frame is used, and its values; if it is blank, the comparison with siblings decides.
 KEEP = "keep"
 KEEP_VALUES = {"yes": True, "no": False, "": None}
 # Column with the time of acquisition (ISO 8601), which only the comparison of datasets needs.
 DATE = "date"
-# Longest path of a file [characters]; systems refuse longer ones.
-LONGEST_NAME = 250
-# Characters of a wrong cell that a message shows.
-LONGEST_CELL = 40
+# Longest path of a file [characters]: operating systems refuse longer ones, some by an error even when asked whether
+# the file exists.
+LONGEST_PATH = 250
+# Most characters of a wrong cell that a message shows, and most digits of a whole number.
+LONGEST_CELL, MOST_DIGITS = 40, 9
 # Line that tells Excel the separator.
 SEPARATOR_LINE = re.compile('"?sep=,"?,*')
 
@@ -36,40 +41,40 @@ class Frame:
     """One row of the manifest."""
 
     line: int  # line of the file, from 1; the header is line 1
-    file: str  # path relative to the dataset, perhaps with the path inside an HDF5 file: `scan.h5#/entry/data`
+    file: str  # path relative to the dataset folder, perhaps with a path inside an HDF5 file: `scan.h5#/entry/data`
     page: int  # page of a stack, from 0
     kind: str  # one of `KINDS`
     angle_deg: float | None  # orientation of the sample [deg]; None if blank
     exposure_s: float | None  # exposure time [s]; None if blank
     repeat: int | None  # number of the site or repetition within a condition; None if blank
-    extra: dict[str, str]  # cells of all other columns, by column
+    extra: dict[str, str]  # cells of all other columns, by column; "" if blank
 
     @property
     def path(self) -> str:
-        """Path of the file, without the path inside it."""
+        """Path of the file relative to the dataset folder, without a path inside it."""
         return split_inner_path(self.file)[0]
 
     @property
     def label(self) -> str:
-        """Name of the frame in messages."""
+        """Name of the frame in messages: its file, with the page unless that is 0."""
         return f"{self.file}, page {self.page}" if self.page else self.file
 
     @property
     def keep(self) -> bool | None:
-        """Whether the frame is used or left out by hand; None if the comparison with its siblings decides."""
+        """True if the user keeps the frame, False if the user excludes it, None to compare it with its siblings."""
         return KEEP_VALUES[self.extra.get(KEEP, "").lower()]
 
 
 def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, ...]:
     """Read and check manifest.csv.
 
-    Exposure times, angles and declared conditions that are equal within their tolerances are made equal (see the module
-    `conditions`).
+    Exposure times, angles and conditions that are equal within their tolerances are replaced by their mean (see the
+    module `conditions`).
 
     Parameters
     ----------
     path : path of manifest.csv.
-    conditions : columns that instrument.yaml declares as axes of the experiment.
+    conditions : columns of the declared conditions.
 
     Returns
     -------
@@ -95,16 +100,20 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
 
 
 def _read_rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list[tuple[int, dict[str | None, Any]]]]:
-    """Return the columns in our spelling, and each row with its line number. Raises `InputError`."""
+    """Return the names of the columns, and for each row the number of its last line and its cells by column.
+
+    Known columns are spelt as in this module and in `conditions`, whatever their case. As in `csv.DictReader`, surplus
+    cells have the key None, and missing cells the value None. Raises `InputError`.
+    """
     lines = [
         (number, line)
         for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
         if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR_LINE.fullmatch(line)))
     ]
-    spelling = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
+    spelling_of = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
     try:
         reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
-        columns = [spelling.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
+        columns = [spelling_of.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
         reader.fieldnames = columns
         return columns, [(lines[reader.line_num - 1][0], row) for row in reader]
     except csv.Error as error:
@@ -112,16 +121,14 @@ def _read_rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list
 
 
 def _is_comment(line: str, folder: Path) -> bool:
-    """Return whether a line starts with #, but not with the name of an existing image such as #1.tif."""
-    if not line.startswith("#"):
-        return False
+    """Return whether a line starts with #, but not with the name of an image in the folder such as #1.tif."""
     name = line.split(",")[0].strip()
-    is_image = len(name) <= LONGEST_NAME and Path(name).suffix.lower() in IMAGE_SUFFIXES and (folder / name).is_file()
-    return not is_image
+    may_be_image = len(name) <= LONGEST_PATH and Path(name).suffix.lower() in IMAGE_SUFFIXES
+    return line.startswith("#") and not (may_be_image and (folder / name).is_file())
 
 
 def _check_columns(path: Path, columns: list[str], conditions: tuple[str, ...]) -> None:
-    """Raise `InputError` for a missing or repeated column."""
+    """Raise `InputError` for a required column or condition that is missing, and for a repeated column."""
     for column in REQUIRED_COLUMNS:
         if column not in columns:
             cause = "; separate cells by commas" if len(columns) == 1 and re.search("[;\t]", columns[0]) else ""
@@ -141,90 +148,98 @@ def _check_columns(path: Path, columns: list[str], conditions: tuple[str, ...]) 
 
 
 def _spell_as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, ...]:
-    """Return the frames with file names in the Unicode normal form of the disk: ä may be one character or two."""
+    """Return the frames with paths in the Unicode normal form of the disk: ä may be one character or two.
+
+    A path that is not on the disk stays as it is.
+    """
     if all(frame.path.isascii() or (folder / frame.path).exists() for frame in frames):
         return frames
     paths = [path.relative_to(folder).as_posix() for path in folder.rglob("*")]
     # A path that is spelt exactly so takes precedence over one in the other normal form.
     spelling = {normalize("NFC", path): path for path in paths} | {path: path for path in paths}
-    spelt = [spelling.get(frame.path, spelling.get(normalize("NFC", frame.path), frame.path)) for frame in frames]
+    disk_paths = [spelling.get(frame.path, spelling.get(normalize("NFC", frame.path), frame.path)) for frame in frames]
     return tuple(
         replace(frame, file=path + frame.file.removeprefix(frame.path))
-        for frame, path in zip(frames, spelt, strict=True)
+        for frame, path in zip(frames, disk_paths, strict=True)
     )
 
 
 def _parse_row(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[str, ...]) -> Frame:
-    """Return the frame of a row. Raises `InputError` for the first wrong cell."""
-    where = f"{path.name} line {line}"
+    """Return the frame of a row of `_read_rows`. Raises `InputError` for the first wrong cell."""
+    location = f"{path.name} line {line}"
     if None in row or None in row.values():
-        raise InputError(f"{where}: {'more' if None in row else 'fewer'} cells than the header has columns")
+        raise InputError(f"{location}: {'more' if None in row else 'fewer'} cells than the header has columns")
     cells = {name.strip(): value.strip() for name, value in row.items() if name and name.strip()}
     if any(value.strip() for name, value in row.items() if not (name or "").strip()):
-        raise InputError(f"{where}: a cell stands under a column without a name; name the column in the header")
+        raise InputError(f"{location}: a cell stands under a column without a name; name the column in the header")
     if cells["kind"] not in KINDS:
-        raise InputError(f"{where}: kind is {cells['kind'][:LONGEST_CELL]!r}; it must be one of {', '.join(KINDS)}")
+        raise InputError(f"{location}: kind is {cells['kind'][:LONGEST_CELL]!r}; it must be one of {', '.join(KINDS)}")
     is_spot = cells["kind"] == "spot"
-    exposure_s = _parse_optional_number(where, cells, "exposure_s")
+    exposure_s = _parse_optional_number(location, cells, "exposure_s")
     if exposure_s is not None and (exposure_s < 0 or (is_spot and exposure_s == 0)):
-        raise InputError(f"{where}: exposure_s is {cells['exposure_s']}; it must be positive, in seconds")
+        raise InputError(f"{location}: exposure_s is {cells['exposure_s']}; it must be positive, in seconds")
     for condition in conditions:
-        if is_spot and _parse_optional_number(where, cells, condition) is None:
-            raise InputError(f"{where}: {condition} is blank; it is declared in conditions and needs a number")
-    file = _parse_file(where, path.parent, cells["file"])
+        if is_spot and _parse_optional_number(location, cells, condition) is None:
+            raise InputError(f"{location}: {condition} is blank; it is declared in conditions and needs a number")
+    file = _parse_file(location, path.parent, cells["file"])
     if cells.get(KEEP, "").lower() not in KEEP_VALUES:
-        raise InputError(f"{where}: {KEEP} is {cells[KEEP][:LONGEST_CELL]!r}; it must be yes, no or blank")
+        raise InputError(f"{location}: {KEEP} is {cells[KEEP][:LONGEST_CELL]!r}; it must be yes, no or blank")
     return Frame(
         line=line,
         file=file,
-        page=_parse_optional_count(where, cells, "page") or 0,
+        page=_parse_optional_count(location, cells, "page") or 0,
         kind=cells["kind"],
-        angle_deg=_parse_optional_number(where, cells, "angle_deg"),
+        angle_deg=_parse_optional_number(location, cells, "angle_deg"),
         exposure_s=exposure_s,
-        repeat=_parse_optional_count(where, cells, "repeat"),
+        repeat=_parse_optional_count(location, cells, "repeat"),
         extra={name: value for name, value in cells.items() if name not in (*REQUIRED_COLUMNS, "page")},
     )
 
 
-def _parse_optional_number(where: str, cells: dict[str, str], column: str) -> float | None:
-    """Return the number in a cell, None if it is blank. Raises `InputError`."""
+def _parse_optional_number(location: str, cells: dict[str, str], column: str) -> float | None:
+    """Return the number in a cell, None if it is blank. Raises `InputError`, which starts with `location`."""
     text = cells[column]
     value = parse_number(text)
     if text and value is None:
-        raise InputError(f"{where}: {column} is {text[:LONGEST_CELL]!r}; it must be a number or blank")
+        raise InputError(f"{location}: {column} is {text[:LONGEST_CELL]!r}; it must be a number or blank")
     return value
 
 
-def _parse_optional_count(where: str, cells: dict[str, str], column: str) -> int | None:
-    """Return the whole number in a cell, None if it is blank or the column is missing. Raises `InputError`."""
+def _parse_optional_count(location: str, cells: dict[str, str], column: str) -> int | None:
+    """Return the whole number in a cell, None if it is blank or the column is missing.
+
+    Raises `InputError`, which starts with `location`.
+    """
     text = cells.get(column, "")
-    if text and not (text.isdecimal() and len(text) < 10):
-        raise InputError(f"{where}: {column} is {text[:LONGEST_CELL]!r}; it must be a whole number from 0")
+    if text and not (text.isdecimal() and len(text) <= MOST_DIGITS):
+        raise InputError(f"{location}: {column} is {text[:LONGEST_CELL]!r}; it must be a whole number from 0")
     return int(text) if text else None
 
 
-def _parse_file(where: str, folder: Path, text: str) -> str:
-    """Return the normalized path of an image inside the dataset folder. Raises `InputError`."""
+def _parse_file(location: str, folder: Path, text: str) -> str:
+    """Return the normalized relative path of an image in the dataset folder. Raises `InputError` with `location`."""
     file = text.replace("\\", "/")  # Windows separates folders by a backslash
-    if len(file) > LONGEST_NAME:
-        raise InputError(f"{where}: file has {len(file)} characters; it must be a path of at most {LONGEST_NAME}")
+    if len(file) > LONGEST_PATH:
+        raise InputError(f"{location}: file has {len(file)} characters; it must be a path of at most {LONGEST_PATH}")
     path, inner_path = split_inner_path(file)
     is_absolute = Path(file).is_absolute() or PureWindowsPath(file).is_absolute()
     if not file or "\0" in file or is_absolute or not _is_inside(folder, path):
         raise InputError(
-            f"{where}: file is {file!r}; it must be a path inside the dataset folder, not a link out of it"
+            f"{location}: file is {file!r}; it must be a path inside the dataset folder, not a link out of it"
         )
+    # Snakemake takes braces for wildcards.
     if re.search("[{}]", file):
-        raise InputError(f"{where}: file is {file!r}; it must be a name without braces")
+        raise InputError(f"{location}: file is {file!r}; it must be a name without braces")
     if Path(path).suffix.lower() not in IMAGE_SUFFIXES:
         raise InputError(
-            f"{where}: {file} is in no format that is read; save it as TIFF, PNG or PGM ({', '.join(IMAGE_SUFFIXES)})"
+            f"{location}: {file} is in no format that is read; save it as TIFF, PNG or PGM"
+            f" ({', '.join(IMAGE_SUFFIXES)})"
         )
     return Path(os.path.normpath(path)).as_posix() + (f"#{inner_path}" if inner_path else "")
 
 
 def _is_inside(folder: Path, file: str) -> bool:
-    """Return whether a path, with its links followed, stays in a folder."""
+    """Return whether a relative path, with its links followed, stays in a folder."""
     try:
         return (folder / file).resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):  # a link that leads to itself
@@ -232,15 +247,15 @@ def _is_inside(folder: Path, file: str) -> bool:
 
 
 def _merge_conditions(frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> tuple[Frame, ...]:
-    """Return the frames with angles, exposure times and declared conditions that agree within tolerances made equal."""
+    """Return the frames with angles, exposure times and conditions that agree within tolerances set to their mean."""
     angles = merge_values("angle_deg", [frame.angle_deg for frame in frames]).values
     exposures = merge_values("exposure_s", [frame.exposure_s for frame in frames]).values
     extras = [dict(frame.extra) for frame in frames]
     for column in conditions:
         values = [parse_number(frame.extra[column]) for frame in frames]
-        for extra, value, merged in zip(extras, values, merge_values(column, values).values, strict=True):
-            if merged != value:
-                extra[column] = repr(merged)
+        for extra, value, mean in zip(extras, values, merge_values(column, values).values, strict=True):
+            if mean != value:
+                extra[column] = repr(mean)
     return tuple(
         replace(frame, angle_deg=angle, exposure_s=exposure, extra=extra)
         for frame, angle, exposure, extra in zip(frames, angles, exposures, extras, strict=True)
@@ -249,15 +264,16 @@ def _merge_conditions(frames: tuple[Frame, ...], conditions: tuple[str, ...]) ->
 
 def _check_duplicates(path: Path, frames: tuple[Frame, ...], conditions: tuple[str, ...]) -> None:
     """Raise `InputError` for two rows with the same page of a file, or with the same condition and repeat."""
+    # Line of the first row with each page, and with each condition and repeat.
     lines: dict[tuple, int] = {}
     for frame in frames:
         values = tuple(parse_number(frame.extra[column]) for column in conditions)
-        page = frame.file, frame.page
-        repeat = frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat, values
+        page_key = frame.file, frame.page
+        repeat_key = frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat, values
         for key, columns, advice in (
-            (page, "file and page", "every frame must be named once"),
+            (page_key, "file and page", "every frame must be named once"),
             (
-                repeat,
+                repeat_key,
                 "kind, angle, exposure, repeat and conditions",
                 "every frame must be named once, with a repeat of its own (exposures within"
                 f" {100 * EXPOSURE_TOLERANCE:g} % are one)",
@@ -272,16 +288,16 @@ def _check_blanks(path: Path, frames: tuple[Frame, ...]) -> None:
     """Raise `InputError` for a column that is blank in some, but not all spot rows."""
     spots = [frame for frame in frames if frame.kind == "spot"]
     for column in ("angle_deg", "exposure_s", "repeat"):
-        blank = [frame for frame in spots if getattr(frame, column) is None]
-        if blank and len(blank) < len(spots):
+        blank_frames = [frame for frame in spots if getattr(frame, column) is None]
+        if blank_frames and len(blank_frames) < len(spots):
             raise InputError(
-                f"{path.name} line {blank[0].line}: {column} is blank here and given in other spot rows;"
+                f"{path.name} line {blank_frames[0].line}: {column} is blank here and given in other spot rows;"
                 f" give it in all of them or in none"
             )
 
 
 def parse_number(text: str) -> float | None:
-    """Return the finite number in a cell; None for any other text."""
+    """Return the finite number in a cell; None for any other text, such as a blank one."""
     try:
         value = float(text)
     except ValueError:

@@ -10,7 +10,7 @@ from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.io.schema import read_schema
 
-# Entries of unused metadata that instrument.yaml lists.
+# Most entries of unused metadata that instrument.yaml lists.
 MOST_UNUSED = 30
 # Column at which comments of instrument.yaml start.
 COMMENT_COLUMN = 34
@@ -45,7 +45,7 @@ def write_template(folder: Path, draft: ManifestDraft | None = None, crop_px: in
     Parameters
     ----------
     folder : folder of the dataset.
-    draft : rows and keys; None for files to fill in, with a folder frames/.
+    draft : rows and keys that were found in images; None for files that the user fills in, with a folder frames/.
     crop_px : side of the crops [px]; None for the default.
 
     Raises
@@ -61,18 +61,20 @@ def write_template(folder: Path, draft: ManifestDraft | None = None, crop_px: in
 
 
 def list_settable_keys() -> dict[str, dict]:
-    """Return the schema of each key of instrument.yaml whose value is a number or one of a few words."""
-    sections = read_schema("instrument")["properties"]
-    keys = {
-        f"{section}.{name}": key
-        for section, content in sections.items()
-        for name, key in content.get("properties", {}).items()
+    """Return the JSON schema of each key in a section of instrument.yaml that takes a number or one of a few words.
+
+    The names of the keys include their section: "sensor.bit_depth".
+    """
+    return {
+        f"{section}.{name}": key_schema
+        for section, section_schema in read_schema("instrument")["properties"].items()
+        for name, key_schema in section_schema.get("properties", {}).items()
+        if key_schema["type"] in ("number", "integer") or "enum" in key_schema
     }
-    return {name: key for name, key in keys.items() if key["type"] in ("number", "integer") or "enum" in key}
 
 
 def _format_manifest(draft: ManifestDraft | None) -> str:
-    """Return the text of manifest.csv."""
+    """Return the text of manifest.csv: comments, header, and the rows of the draft or else an example."""
     text = io.StringIO()
     text.write(MANIFEST_COMMENTS)
     columns = draft.columns if draft else REQUIRED_COLUMNS
@@ -83,16 +85,16 @@ def _format_manifest(draft: ManifestDraft | None) -> str:
 
 
 def _format_instrument(draft: ManifestDraft | None, crop_px: int | None) -> str:
-    """Return the text of instrument.yaml: known keys with their origin, the others as comments with their meaning."""
-    known = _collect_known_keys(draft, crop_px) if draft else {}
+    """Return the text of instrument.yaml: known keys with their source, the others as comments with their meaning."""
+    known_keys = _collect_known_keys(draft, crop_px) if draft else {}
     lines = [INSTRUMENT_COMMENTS]
-    for name, key in read_schema("instrument")["properties"].items():
-        if key["type"] == "object":
-            section = {f"{name}.{inner}": content for inner, content in key["properties"].items()}
-            lines.append(f"\n{name}:" if known.keys() & section else f"\n# {name}:")
-            lines += [_format_key(path, content, known) for path, content in section.items()]
+    for name, schema in read_schema("instrument")["properties"].items():
+        if schema["type"] == "object":
+            section = {f"{name}.{key}": key_schema for key, key_schema in schema["properties"].items()}
+            lines.append(f"\n{name}:" if known_keys.keys() & section else f"\n# {name}:")
+            lines += [_format_key(full_key, key_schema, known_keys) for full_key, key_schema in section.items()]
         else:
-            lines.append(_format_key(name, key, known))
+            lines.append(_format_key(name, schema, known_keys))
     if draft and draft.unused:
         lines += ["", "# Other metadata in the files, which is not used:"]
         lines += [f"#   {unused.text} ({unused.source})" for unused in draft.unused[:MOST_UNUSED]]
@@ -100,29 +102,33 @@ def _format_instrument(draft: ManifestDraft | None, crop_px: int | None) -> str:
 
 
 def _collect_known_keys(draft: ManifestDraft, crop_px: int | None) -> dict[str, tuple[object, str]]:
-    """Return value and origin of each key that the frames determine."""
-    known: dict[str, tuple[object, str]] = {}
+    """Return value and source of each key that the frames determine, such as "sensor.bit_depth"."""
+    known_keys: dict[str, tuple[object, str]] = {}
     if not draft.is_order_known:
-        known["order_known"] = "false", "neither times nor one running number tell the order"
+        known_keys["order_known"] = "false", "neither times nor one running number tell the order"
     if draft.conditions:
-        known["conditions"] = f"[{', '.join(draft.conditions)}]", "takes more than one value"
+        known_keys["conditions"] = f"[{', '.join(draft.conditions)}]", "takes more than one value"
     if crop_px:
-        known["crop_px"] = crop_px, "ten times the widest spot's standard deviation, as far as the frames reach"
+        known_keys["crop_px"] = crop_px, "ten times the widest spot's standard deviation, as far as the frames reach"
     if draft.has_spots and all(row["exposure_s"] == "" for row in draft.rows if row["kind"] == "spot"):
-        known["model.photon_budget"] = "free", "without exposures no law links the peaks of the frames"
+        known_keys["model.photon_budget"] = "free", "without exposures no law links the peaks of the frames"
     for key, entry in draft.instrument_keys.items():
-        known[key] = entry.value, f"{entry.source}: {entry.text}"
-    return known
+        known_keys[key] = entry.value, f"{entry.source}: {entry.text}"
+    return known_keys
 
 
-def _format_key(path: str, key: dict, known: dict[str, tuple[object, str]]) -> str:
-    """Return the line of a key: its value and origin, or a comment with its default and meaning."""
-    section, _, name = path.rpartition(".")
-    if path in known:
-        value, origin = known[path]
-        return ("  " if section else "") + f"{name}: {value}".ljust(COMMENT_COLUMN) + f"# {origin}"
-    default = key.get("default", "")
+def _format_key(full_key: str, key_schema: dict, known_keys: dict[str, tuple[object, str]]) -> str:
+    """Return the line of a key: its value and source if it is known, else a comment with its default and meaning.
+
+    `full_key` includes the section: "sensor.bit_depth".
+    """
+    section, _, name = full_key.rpartition(".")
+    if full_key in known_keys:
+        value, source = known_keys[full_key]
+        return ("  " if section else "") + f"{name}: {value}".ljust(COMMENT_COLUMN) + f"# {source}"
+    default = key_schema.get("default", "")
+    # YAML writes true and false in lower case.
     default = str(default).lower() if isinstance(default, bool) else default
-    choices = f" ({', '.join(key['enum'])})" if "enum" in key else ""
+    choices = f" ({', '.join(key_schema['enum'])})" if "enum" in key_schema else ""
     indent = "#   " if section else "# "
-    return indent + f"{name}: {default}".ljust(COMMENT_COLUMN) + f"# {key.get('description', '')}{choices}"
+    return indent + f"{name}: {default}".ljust(COMMENT_COLUMN) + f"# {key_schema.get('description', '')}{choices}"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from spotcheck.errors import InputError
 
-# Errors of the file system that the user can correct, and how.
+# Errors of the file system that the user can correct, by error number, and what to do.
 REMEDIES = {
     errno.ENOSPC: "make room on the disk and run again",
     errno.EDQUOT: "make room within your quota and run again",
@@ -18,7 +18,7 @@ REMEDIES = {
     errno.EACCES: "correct the permissions of its folder, or name another one",
     errno.EPERM: "correct the permissions of its folder, or name another one",
 }
-# Free space beyond the size of the scratch file below which a disk counts as full [byte]: the largest block of HDF5.
+# A disk counts as full if it has less space than the scratch file and this [byte], the largest block of HDF5.
 PROBE_BYTES = 2**20
 
 
@@ -29,7 +29,7 @@ def write_atomically(path: Path) -> Iterator[Path]:
     Parameters
     ----------
     path : Path
-        File to write; its folder is created. An earlier file stays as it was until the new one is complete.
+        File to write; its folder is created. An earlier file is unchanged until the new one is complete.
 
     Raises
     ------
@@ -58,10 +58,11 @@ def write_text(path: Path, content: str) -> None:
 def _find_cause(error: OSError | RuntimeError, scratch: Path) -> int | None:
     """Return the error number, one of `REMEDIES`, why a scratch file could not be written; None for other errors."""
     if isinstance(error, OSError):
-        # The error may be about another file that is read in the same block.
-        failed = Path(error.filename or scratch)
-        is_ours = scratch.is_relative_to(failed) or failed.suffix == scratch.suffix
-        return error.errno if is_ours and error.errno in REMEDIES else None
+        # The error may be about another file that is read in the same block. Ours are about the scratch file, a folder
+        # above it, or the scratch file of another write.
+        failed_path = Path(error.filename or scratch)
+        is_output = scratch.is_relative_to(failed_path) or failed_path.suffix == scratch.suffix
+        return error.errno if is_output and error.errno in REMEDIES else None
     if not str(error).startswith("NetCDF: "):
         return None
     # netCDF does not report the error number; allocating the same space once more reveals it.

@@ -5,13 +5,16 @@ import math
 from uncertainties import ufloat
 from uncertainties.formatting import PDG_precision
 
-# Units as a person writes them, where files write them differently.
+# Units as a person writes them, by unit as in files; other units are the same.
 UNITS = {"1": "", "deg": "°", "degree": "°", "pixel": "px"}
-# Units that take a prefix, since exposures and beams span powers of ten; and the prefixes by power of ten.
+# Units that take a prefix, because exposures and beams span powers of ten; and the prefixes by power of ten.
 PREFIXED_UNITS = ("s", "m", "rad", "W")
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: ""}
-# Numbers with more decimals are written with a power of ten.
+# Values with an error and more decimals than this are written with a power of ten.
 MAX_DECIMALS = 6
+# Numbers without an error: value from which `quantity_text` writes no decimals; powers of ten that `number_text` writes
+# out, and range of values that `two_digits` writes out, while others have a power of ten.
+WHOLE_FROM, PLAIN_POWERS, PLAIN_RANGE = 1000, range(-4, 5), (1e-2, 1e4)
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -52,24 +55,27 @@ def quantity_text(value: float | None, stderr: float | None, unit: str = "1") ->
 
 
 def rounded_text(value: float, stderr: float) -> str:
-    """Return a value without its error, with the decimals that `quantity_text` would give it."""
+    """Return a value without its error, with the decimals that `quantity_text` gives it; `stderr` is above 0."""
     return f"{value:.{max(count_decimals(stderr), 0)}f}".replace("-", "−")
 
 
 def count_decimals(stderr: float) -> int:
-    """Return the decimals of a value with this standard error; negative if tens are rounded."""
+    """Return the decimals of a value with this standard error, above 0: −1 if the value is rounded to tens."""
     digits, rounded_stderr = PDG_precision(stderr)
     return digits - 1 - math.floor(math.log10(rounded_stderr))
 
 
 def number_text(value: float | None, digits: int = 3) -> str:
-    """Return a number without an error with so many digits, such as `1.00`, `5440`, `9.61 · 10⁵`; a dash if unknown."""
+    """Return a number without an error to `digits` significant digits: `1.00`, `5440`, `9.61 · 10⁵`.
+
+    None, NaN and infinity give a dash.
+    """
     if value is None or not math.isfinite(value):
         return "–"
     # Rounded before the power is taken: 9.996 becomes 10.0, not 10.00.
     value = float(f"{value:.{digits - 1}e}")
     power = math.floor(math.log10(abs(value))) if value else 0
-    if -4 <= power < 5:
+    if power in PLAIN_POWERS:
         text = f"{value:.{max(digits - 1 - power, 0)}f}"
     else:
         text = f"{value / 10.0**power:.{digits - 1}f} · 10{str(power).translate(SUPERSCRIPTS)}"
@@ -77,17 +83,17 @@ def number_text(value: float | None, digits: int = 3) -> str:
 
 
 def two_digits(value: float) -> str:
-    """Return a number with two significant digits for a sentence: `360`, `0.05`, `2.5 · 10⁻¹⁶`."""
-    if value == 0 or 1e-2 <= abs(value) < 1e4:
+    """Return a finite number to two significant digits for a sentence: `360`, `0.05`, `2.5 · 10⁻¹⁶`."""
+    if value == 0 or PLAIN_RANGE[0] <= abs(value) < PLAIN_RANGE[1]:
         return f"{float(f'{value:.2g}'):g}"
     mantissa, exponent = f"{value:.1e}".split("e")
     return f"{mantissa} · 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
 
 
 def _number_with_error(value: float, stderr: float | None) -> str:
-    """Return `value ± stderr`, or the value alone if its error is unknown."""
+    """Return `value ± stderr` of a finite value, or the value alone if its error is None, NaN or not positive."""
     if stderr is None or math.isnan(stderr) or stderr <= 0:
-        text = f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
+        text = f"{value:.0f}" if abs(value) >= WHOLE_FROM else f"{value:.4g}"
     elif math.isinf(stderr):
         text = f"{value:.4g} ± ∞"
     else:

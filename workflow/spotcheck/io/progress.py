@@ -5,7 +5,8 @@ The command line shows it; the library does so only on request:
     with progress.shown():
         spotcheck.judge_dataset("my-frames")
 
-On a terminal it is a bar; elsewhere, as in a log file, a line is written now and then.
+On a terminal progress is shown by a bar. Elsewhere, as in a log file, a line is written every `LINE_S` seconds. A bar
+is a `tqdm` object in both cases.
 """
 
 import sys
@@ -22,13 +23,14 @@ T = TypeVar("T")
 SHOW_AFTER_S = 5.0
 # Shortest time between two updates of a bar, and between two lines [s].
 REDRAW_S, LINE_S = 0.2, 10.0
-# Longest time without an update of a bar [s]; of lines it is `LINE_S`.
+# Longest time without an update of a bar [s]; for lines it is `LINE_S`.
 BEAT_S = 1.0
-# Part of the remaining share of a step by which each call of `advance` moves the bar.
+# Fraction of the rest of a step by which each call of `advance` moves the bar, so that it never reaches the end.
 ADVANCE = 0.15
 
+# Whether progress is shown.
 _is_shown: ContextVar[bool] = ContextVar("_is_shown", default=False)
-# Bar of the work whose steps are being announced.
+# Bar of the work of `track_steps`; None outside it.
 _steps_bar: ContextVar[Any] = ContextVar("_steps_bar", default=None)
 
 
@@ -52,7 +54,7 @@ def track(items: Collection[T] | Iterable[T], work: str, count: int | None = Non
     work : str
         Description of the work, such as "fitting spots".
     count : int, optional
-        Number of items, for an iterable without `len`.
+        Number of items, for an iterable without `len`; None if unknown.
     """
     if not _is_shown.get():
         return items
@@ -70,7 +72,12 @@ def _iterate(bar: Any) -> Iterator[Any]:
 def track_steps(work: str) -> Iterator[None]:
     """Show the progress of work whose steps are announced by `begin_step`.
 
-    The share of each step, and with it the remaining time, is an estimate from typical runs.
+    The share of each step in the work, and thus the remaining time, is an estimate from typical runs.
+
+    Parameters
+    ----------
+    work : str
+        Description of the work, such as "analysing frames".
     """
     if not _is_shown.get():
         yield
@@ -86,31 +93,35 @@ def track_steps(work: str) -> Iterator[None]:
 
 
 def begin_step(name: str, start: float, end: float) -> None:
-    """Announce a step of `track_steps`, which takes the share of the work from `start` to `end` (0 to 1)."""
+    """Announce a step of `track_steps`, which takes the part of the work from `start` to `end` (0 to 1).
+
+    Nothing happens if no progress is shown.
+    """
     if (bar := _steps_bar.get()) is not None:
         bar.step, bar.step_end = name, end
         _move(bar, start, name)
 
 
 def advance(detail: str) -> None:
-    """Report progress within a step whose number of parts is unknown; `detail` is added to its name."""
+    """Report progress within a step whose number of parts is unknown; `detail`, unless it is "", follows its name."""
     if (bar := _steps_bar.get()) is not None:
         text = f"{bar.step}, {detail}" if detail else bar.step
         _move(bar, bar.n + ADVANCE * (bar.step_end - bar.n), text)
 
 
 def _move(bar: Any, share: float, text: str) -> None:
-    """Move a bar of steps to a share of the work, but never back."""
+    """Move a bar of steps to a share of the work (0 to 1), but never back, and show a text behind its work."""
     bar.set_description_str(f"{bar.work}, {text}", refresh=False)
     bar.update(max(share - bar.n, 0.0))
 
 
 @contextmanager
 def _beating(bar: Any) -> Iterator[None]:
-    """Update a bar regularly while nothing happens: a step, or the compilation of code, may take minutes."""
+    """Update a bar regularly in a `with` block: a step, or the compilation of code, may take minutes."""
     is_done, interval_s = Event(), BEAT_S if sys.stderr.isatty() else LINE_S
 
     def beat() -> None:
+        """Update the bar whenever it was not updated for the interval, until the block ends."""
         while not is_done.wait(interval_s):
             if bar.format_dict["elapsed"] >= SHOW_AFTER_S and time() - bar.last_print_t >= interval_s:
                 bar.refresh()
@@ -128,6 +139,7 @@ class _LineWriter:
     """File for tqdm that writes a line wherever tqdm redraws its bar."""
 
     def __init__(self, file: TextIO) -> None:
+        """Write to an open text file."""
         self.flush = file.flush
         self._file = file
 
@@ -138,12 +150,20 @@ class _LineWriter:
 
 
 def _make_bar(count_format: str, about: str = "", **options: Any) -> Any:
-    """Return a tqdm bar, which vanishes at the end, or its numbers as lines if there is no terminal."""
+    """Return a tqdm bar, which vanishes at the end, or one that writes lines if there is no terminal.
+
+    Parameters
+    ----------
+    count_format : format of the finished part of the work, with fields of tqdm such as `{n_fmt} of {total_fmt}`.
+    about : word before the remaining time, such as "about ".
+    options : arguments of tqdm for this work.
+    """
     from tqdm import tqdm
 
     class Meter(tqdm):
         """Bar whose remaining time counts down between two updates."""
 
+        # Finished items and elapsed time [s] at the last progress.
         last_n, last_s = 0.0, 0.0
 
         @property
@@ -153,7 +173,8 @@ def _make_bar(count_format: str, about: str = "", **options: Any) -> Any:
             n, elapsed_s, total = float(fields["n"]), float(fields["elapsed"]), float(fields["total"] or 0.0)
             if n != self.last_n:
                 self.last_n, self.last_s = n, elapsed_s
-            # Negative if nothing is done yet, or if the current item takes longer than those before.
+            # In proportion to the time at the last progress; 0 at the end. It is negative, which means unknown, if
+            # nothing is done yet or the current item takes longer than those before.
             remaining_s = self.last_s * total / n - elapsed_s if 0 < n < total else n - total
             to_go = f"{about}{tqdm.format_interval(remaining_s)} to go" if remaining_s >= 0 else "time to go unknown"
             return fields | {"to_go": to_go}

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from spotcheck.io import atomic_files
 
+# Folder of this package, and the folder from which it is imported.
 PACKAGE = Path(__file__).parents[1]
 ROOT = PACKAGE.parent
 # Packages whose versions the sidecar file states.
@@ -26,7 +27,10 @@ VERSIONED_PACKAGES = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "ma
 
 @cache
 def list_imports(path: Path, root: Path = ROOT) -> set[str]:
-    """Return the dotted names of the modules below `root` that a file imports when it runs, also inside functions."""
+    """Return the dotted names of the modules below `root` that a Python file imports, also inside functions.
+
+    Imports for type checkers only do not count.
+    """
     return _list_imports_of_source(path.read_text(encoding="utf-8"), root)
 
 
@@ -55,7 +59,8 @@ def _find_module_file(module: str, root: Path) -> Path | None:
 
 
 def _list_imports_of_source(source: str, root: Path) -> set[str]:
-    """Return the dotted names of the modules below `root` that running a source imports."""
+    """Return the dotted names of the modules below `root` that a source text imports when it runs."""
+    # `from a import b` names a.b, which is a module or not.
     names: set[str] = set()
     for node in walk_executed(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -71,7 +76,10 @@ def _list_imports_of_source(source: str, root: Path) -> set[str]:
 
 
 def _list_discovered_modules(file: Path) -> list[str]:
-    """Return the modules that a package imports because they lie in its folder, as the vocabulary of effects does."""
+    """Return the names of the modules that a package imports by `iter_modules`: all modules in its folder.
+
+    The list is empty for a file that is not the `__init__.py` of such a package.
+    """
     if file.name != "__init__.py" or "iter_modules" not in file.read_text(encoding="utf-8"):
         return []
     return [member.stem for member in file.parent.glob("*.py") if member != file]
@@ -85,10 +93,10 @@ def list_sources(module: str, root: Path = ROOT) -> list[Path]:
     ModuleNotFoundError
         If there is no such module below `root`.
     """
-    start = _find_module_file(module, root)
-    if start is None:
+    start_file = _find_module_file(module, root)
+    if start_file is None:
         raise ModuleNotFoundError(f"{module}: no module below {root.name}/")
-    files, unread = set[Path](), {start}
+    files, unread = set[Path](), {start_file}
     while unread:
         files |= unread
         names = {name for file in unread for name in list_imports(file, root)}
@@ -98,7 +106,10 @@ def list_sources(module: str, root: Path = ROOT) -> list[Path]:
 
 @cache
 def code_digest(*modules: str, root: Path = ROOT) -> str:
-    """Return the digest (12 hexadecimal digits) of all sources of dotted modules such as "spotcheck.cli.fit"."""
+    """Return the digest (12 hexadecimal digits) of the source files of modules such as "spotcheck.cli.fit".
+
+    It includes all modules below `root` that they import, directly or not.
+    """
     digest = hashlib.sha256()
     for path in sorted({path for module in modules for path in list_sources(module, root)}):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0")
@@ -120,26 +131,26 @@ def make_attributes(code: str, inputs: Sequence[str | Path]) -> dict[str, str]:
     code : str
         Digest of the code (`code_digest`).
     inputs : sequence of str or Path
-        Files that the result was made from; those that do not exist are skipped.
+        Files from which the result was made; those that do not exist are skipped.
 
     Returns
     -------
     dict
-        `code_version`, and `inputs`: name and start of the SHA-256 of each file.
+        `code_version`, and `inputs`: name and first 16 digits of the SHA-256 of each file.
     """
     digests = [f"{Path(path).name} {file_digest(path)[:16]}" for path in inputs if Path(path).is_file()]
     return {"code_version": code, "inputs": "; ".join(digests)}
 
 
 def write_sidecar(path: Path, attributes: Mapping[str, str]) -> None:
-    """Write `.runs/NAME.json` beside a result: when, where and with which versions it was made.
+    """Write `.runs/NAME.json` beside a result: when, where, by which command and with which versions it was made.
 
     Parameters
     ----------
     path : Path
-        The result. It holds none of this itself, so that equal inputs give equal files.
+        Path of the result. The result itself contains none of this, so that equal inputs give equal files.
     attributes : Mapping
-        Further entries, which the result has no place for.
+        Further entries, for results that cannot hold attributes.
     """
     record = {
         "written": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -1,7 +1,9 @@
-"""Result files: the contract of every netCDF file, checked on write and on read, and the ownership of result folders.
+"""Result files: the contract of every netCDF file, checked on write and on read, and the owner of a results folder.
 
-Every variable and coordinate has `units` and `long_name`. Dimensions have the names of the dataset contract. Files are
-written atomically. Equal inputs and equal code give equal files.
+A result is an `xarray.Dataset`. Every variable and coordinate has `units` and `long_name`. Dimensions have the names of
+the dataset contract. Files are written atomically. Equal inputs and equal code give equal files. Many results have the
+axes of the grid of spots (angle, exposure, repeat and declared conditions) as dimensions, and a variable `status` of
+bits per cell of the grid. The owner of a results folder is the dataset from which its results were made.
 """
 
 import os
@@ -19,7 +21,7 @@ from xarray.backends import NetCDF4DataStore
 from spotcheck.errors import InputError
 from spotcheck.io import atomic_files, provenance
 
-# Name and meaning of each bit of `status`.
+# Name and meaning of each bit (flag) of `status`.
 STATUS = {
     1: ("missing", "no frame in this cell of the grid"),
     2: ("black", "no light above the noise"),
@@ -38,15 +40,19 @@ STATUS = {
     16384: ("double", "exposed twice, or two spots in one frame"),
     32768: ("dropped", "left out by hand (keep = no in manifest.csv)"),
 }
-# Flags of automatic exclusion, which `keep = yes` in manifest.csv clears.
+# Flags of automatic exclusion, which `keep = yes` in manifest.csv clears: black, saturated, blocked, moved, double.
 CLEARED_BY_KEEP = 2 | 4 | 4096 | 8192 | 16384
-# Flags by which a frame is excluded, automatically or by `keep = no`.
+# Flags by which a frame is excluded, automatically or by `keep = no` (dropped).
 EXCLUDED = 32768 | CLEARED_BY_KEEP
-# Flags of frames without a usable spot.
+# Flags of frames without a usable spot: missing, copy, and excluded ones.
 UNUSABLE = 1 | 256 | EXCLUDED
-# Flags of fits whose results must not be used: UNUSABLE, not_converged, at_limit, no_noise.
+# Flags of fits whose results must not be used: not_converged, at_limit, no_noise, and those of unusable frames.
 UNTRUSTED = UNUSABLE | 32 | 64 | 128
 
+# Dimensions of a `status` beside those of the grid: the two centrings of a crop, kinds of fits, measured or simulated.
+NOT_GRID_DIMS = ("centring", "fit", "source")
+# Lossless compression of variables. Higher levels take longer and gain little.
+COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 1}
 # Cache of chunks that HDF5 keeps per variable [byte]. Frames are accessed once: a larger cache would only grow with
 # their number.
 netCDF4.set_chunk_cache(2**21)
@@ -69,7 +75,7 @@ class GridAxis(Protocol):
 
     @property
     def long_name(self) -> str:
-        """Label of the axis."""
+        """Description of the axis for tables and plots."""
 
 
 class GridDataset(Protocol):
@@ -77,7 +83,7 @@ class GridDataset(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the folder."""
+        """Name of the dataset's folder."""
 
     @property
     def title(self) -> str:
@@ -96,15 +102,15 @@ class ContractError(ValueError):
 class Variable:
     """Definition of a variable that a `FrameWriter` fills frame by frame."""
 
-    dims: tuple[str, ...]  # dimensions beyond those of the grid
+    dims: tuple[str, ...]  # dimensions behind those of the grid
     dtype: str  # type in the file, such as "f4"
-    units: str  # unit
-    long_name: str  # meaning
-    step: float | None = None  # quantization step of a float stored as unsigned integer [units]; None: stored as it is
+    units: str  # attribute `units`
+    long_name: str  # attribute `long_name`
+    step: float | None = None  # quantization step of floats stored as unsigned integers [units]; None: stored unchanged
 
 
 def status_attributes() -> dict[str, Any]:
-    """Return the CF attributes of a `status` variable."""
+    """Return the attributes of a `status` variable after the CF conventions for flags."""
     return {
         "units": "1",
         "long_name": "status flags; 0 is usable without remark",
@@ -119,21 +125,24 @@ def flag(name: str) -> int:
 
 
 def status_names(flags: Any) -> np.ndarray:
-    """Return the names of the flags that are set, separated by blanks, or "ok", for an array of status values."""
+    """Return the names of the flags that are set in each status value, separated by blanks, or "ok".
+
+    The result has the shape of `flags`, a number or an array of status values.
+    """
     flags = np.asarray(flags)
-    names = {
+    names_of = {
         value: " ".join(name for bit, (name, _) in STATUS.items() if value & bit) or "ok" for value in np.unique(flags)
     }
-    return np.array([names[value] for value in flags.ravel()], dtype=str).reshape(flags.shape)[()]
+    return np.array([names_of[value] for value in flags.ravel()], dtype=str).reshape(flags.shape)[()]
 
 
 def describe_flags(flags: int) -> str:
-    """Return the meanings of the flags that are set in a status value."""
+    """Return the meanings of the flags that are set in a status value, separated by semicolons; "" if none is."""
     return "; ".join(meaning for bit, (_, meaning) in STATUS.items() if flags & bit)
 
 
 def check(ds: xr.Dataset, file: str) -> xr.Dataset:
-    """Return a result unchanged if it keeps the netCDF contract.
+    """Return a result unchanged if it keeps the netCDF contract; `file` is its name in messages.
 
     Raises
     ------
@@ -151,56 +160,56 @@ def check(ds: xr.Dataset, file: str) -> xr.Dataset:
 
 
 def add_remarks(ds: xr.Dataset, remarks: Sequence[str]) -> xr.Dataset:
-    """Return a result with remarks for the user, which replace earlier ones; repeated remarks are dropped."""
+    """Return a result with `remarks` for the user instead of those it had; repeated remarks are dropped."""
     return ds.assign_attrs(remarks="\n".join(dict.fromkeys(remarks)))
 
 
 def remarks_of(ds: xr.Dataset) -> list[str]:
-    """Return the remarks for the user in a result."""
+    """Return the remarks for the user in a result, an attribute with a line per remark."""
     return [remark for remark in str(ds.attrs.get("remarks", "")).split("\n") if remark]
 
 
 def _remark_on_values(ds: xr.Dataset) -> Iterator[str]:
-    """Yield a remark on each variable with standard errors of exactly 0, or with infinities.
+    """Yield a remark on each floating-point variable with infinities, and on standard errors of exactly 0.
 
-    The attribute `infinite` of a variable explains its infinities, which then need no remark.
+    A variable with the attribute `infinite`, which explains its infinities, gets no remark on them.
     """
     for name, variable in ds.variables.items():
         if variable.dtype.kind != "f":
             continue
-        infinite = int(np.isinf(variable.values).sum())
-        if infinite and "infinite" not in variable.attrs:
-            yield f"{name} is infinite in {infinite} of {variable.size} places"
-        zeros = int((variable.values == 0).sum())
-        if zeros and str(name).endswith(("stderr", "_error")):
+        infinity_count = int(np.isinf(variable.values).sum())
+        if infinity_count and "infinite" not in variable.attrs:
+            yield f"{name} is infinite in {infinity_count} of {variable.size} places"
+        zero_count = int((variable.values == 0).sum())
+        if zero_count and str(name).endswith(("stderr", "_error")):
             yield (
-                f"{name} is exactly 0 in {zeros} of {variable.size} places: what it is the error of was not measured,"
-                " or from copies of one frame"
+                f"{name} is exactly 0 in {zero_count} of {variable.size} places: what it is the error of was not"
+                " measured, or from copies of one frame"
             )
 
 
 def make_grid(dataset: GridDataset) -> xr.Dataset:
-    """Return an empty result over the grid of spots.
+    """Return an empty result over the grid of spots of a dataset.
 
-    Recorded axes are coordinates; the attribute `not_recorded` names the others.
+    Axes with recorded values are coordinates; the attribute `not_recorded` names the others, separated by blanks.
     """
     coords = {
         axis.name: (axis.name, np.array(axis.values), {"units": axis.units, "long_name": axis.long_name})
         for axis in dataset.axes
         if axis.values is not None
     }
-    unrecorded = [axis.name for axis in dataset.axes if axis.values is None]
-    attrs = {"title": dataset.title, "dataset": dataset.name, "not_recorded": " ".join(unrecorded)}
+    unrecorded_axes = [axis.name for axis in dataset.axes if axis.values is None]
+    attrs = {"title": dataset.title, "dataset": dataset.name, "not_recorded": " ".join(unrecorded_axes)}
     return xr.Dataset(coords=coords, attrs=attrs)
 
 
 def grid_dims(ds: xr.Dataset) -> tuple[str, ...]:
-    """Return the dimensions of the grid of spots in a result with a `status`."""
-    return tuple(str(dim) for dim in ds["status"].dims if dim not in ("centring", "fit", "source"))
+    """Return the dimensions of the grid of spots in a result: those of its `status` without `NOT_GRID_DIMS`."""
+    return tuple(str(dim) for dim in ds["status"].dims if dim not in NOT_GRID_DIMS)
 
 
 def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str | Path] = ()) -> None:
-    """Write a result with its provenance, and remarks on values that no measurement gives.
+    """Write a result with its provenance, and with remarks on infinities and on standard errors of 0.
 
     Parameters
     ----------
@@ -211,7 +220,7 @@ def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str |
     code : str
         Digest of the code (`provenance.code_digest`).
     inputs : sequence of str or Path
-        Files that the result was made from.
+        Files from which the result was made.
 
     Raises
     ------
@@ -223,12 +232,11 @@ def write(ds: xr.Dataset, path: str | Path, *, code: str, inputs: Sequence[str |
     path = Path(path)
     ds = add_remarks(ds, [*remarks_of(ds), *_remark_on_values(ds)])
     ds = check(ds.assign_attrs(provenance.make_attributes(code, inputs)), path.name)
-    encoding: dict[str, dict] = {}
+    encoding = {}
     for name, variable in ds.variables.items():
         is_number_array = variable.dtype.kind in "fiu" and variable.ndim > 0
-        encoding[str(name)] = {"zlib": True, "complevel": 1} if is_number_array else {}
-        if variable.dtype.kind == "f":
-            encoding[str(name)]["_FillValue"] = np.nan
+        fill = {"_FillValue": np.nan} if variable.dtype.kind == "f" else {}
+        encoding[str(name)] = (COMPRESSION if is_number_array else {}) | fill
     with write_with_sidecar(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
         ds.dump_to_store(NetCDF4DataStore(nc), encoding=encoding)
 
@@ -245,6 +253,8 @@ def frame_writer(
 ) -> Iterator["FrameWriter"]:
     """Open a result over the grid of spots that is filled frame by frame, so that memory never holds a stack.
 
+    The file appears when the `with` block ends without an exception.
+
     Parameters
     ----------
     path : str or Path
@@ -252,11 +262,16 @@ def frame_writer(
     dataset : GridDataset
         Dataset whose axes are the first dimensions of each variable.
     extra : xr.Dataset
-        Coordinates of the other dimensions.
+        Coordinates of the other dimensions, and further attributes.
     variables : Mapping
         Definition of each variable by its name.
     code, inputs
         Provenance as for `write`.
+
+    Yields
+    ------
+    FrameWriter
+        Writer of the cells of the grid.
 
     Raises
     ------
@@ -268,6 +283,7 @@ def frame_writer(
     template = check(template.assign_attrs(provenance.make_attributes(code, inputs)), path.name)
     with write_with_sidecar(path) as scratch, netCDF4.Dataset(scratch, "w") as nc:
         template.dump_to_store(NetCDF4DataStore(nc))
+        # Axes without values have no coordinate, and thus no dimension yet.
         for axis in dataset.axes:
             if axis.values is None:
                 nc.createDimension(axis.name, 1)
@@ -277,24 +293,26 @@ def frame_writer(
 class FrameWriter:
     """Writer of the cells of a grid; cells that are not written stay NaN (integers −1) with the status `missing`."""
 
-    def __init__(self, nc: netCDF4.Dataset, grid_dims: tuple[str, ...], variables: Mapping[str, Variable]):
+    def __init__(self, nc: netCDF4.Dataset, axis_names: tuple[str, ...], variables: Mapping[str, Variable]):
+        """Create `variables` over the axes of the grid in an open file, which has all dimensions already.
+
+        Raises `ContractError` for a variable without units or long_name.
+        """
         self._nc = nc
         for name, definition in variables.items():
             if not definition.units.strip() or not definition.long_name.strip():
                 raise ContractError(f"variable {name} has no units or no long_name")
-            self._create(name, definition, grid_dims)
+            self._create(name, definition, axis_names)
 
-    def _create(self, name: str, definition: Variable, grid_dims: tuple[str, ...]) -> None:
-        """Create a variable with one chunk per frame."""
-        dtype, dims = definition.dtype, (*grid_dims, *definition.dims)
+    def _create(self, name: str, definition: Variable, axis_names: tuple[str, ...]) -> None:
+        """Create a variable with one chunk per frame, that is, per cell of the grid."""
+        dtype, dims = definition.dtype, (*axis_names, *definition.dims)
         shape = tuple(self._nc.dimensions[dim].size for dim in dims)
-        chunks = (1,) * len(grid_dims) + shape[len(grid_dims) :]
-        # NaN of quantized floats is the largest integer. Plain integers get no fill value, since xarray would read
-        # them as floats.
+        chunks = (1,) * len(axis_names) + shape[len(axis_names) :]
+        # The largest integer stands for the NaN of quantized floats. Plain integers get no fill value, because xarray
+        # would read them as floats.
         fill = np.nan if dtype.startswith("f") else None if definition.step is None else np.iinfo(dtype).max
-        variable = self._nc.createVariable(
-            name, dtype, dims, zlib=True, complevel=1, chunksizes=chunks, fill_value=fill
-        )
+        variable = self._nc.createVariable(name, dtype, dims, **COMPRESSION, chunksizes=chunks, fill_value=fill)
         variable.setncatts({"units": definition.units, "long_name": definition.long_name})
         if definition.step is not None:
             variable.scale_factor = definition.step
@@ -304,18 +322,21 @@ class FrameWriter:
             variable[:] = np.full(shape, flag("missing") if name == "status" else -1, dtype)
 
     def remark(self, remarks: Sequence[str]) -> None:
-        """Set the remarks for the user."""
+        """Set the remarks for the user, which replace earlier ones."""
         self._nc.remarks = "\n".join(remarks)
 
     def put(self, index: tuple[int, ...], values: Mapping[str, Any]) -> None:
-        """Write the values of one frame, by the names of the variables, at its index on the grid."""
+        """Write the values of one frame, by variable, into the cell of the grid with this index.
+
+        NaN and infinity of a quantized variable become missing values.
+        """
         for name, value in values.items():
             variable = self._nc.variables[name]
             variable[index] = np.ma.masked_invalid(value) if "scale_factor" in variable.ncattrs() else value
 
 
 def read(path: str | Path) -> xr.Dataset:
-    """Open a result lazily and check the contract; the caller closes it, or uses `with`.
+    """Return a result that is opened lazily, after a check of the contract; the caller closes it, or uses `with`.
 
     Raises
     ------
@@ -327,14 +348,17 @@ def read(path: str | Path) -> xr.Dataset:
 
 @contextmanager
 def write_with_sidecar(path: Path) -> Iterator[Path]:
-    """Yield the scratch file of a result that is written atomically (`write_atomically`), and add its sidecar file."""
+    """Yield the scratch file of a result, which is renamed to `path` at the end of the block; then write its sidecar.
+
+    The sidecar file is that of `provenance.write_sidecar`. Raises `InputError` as `write_atomically` does.
+    """
     with atomic_files.write_atomically(path) as scratch:
         yield scratch
     provenance.write_sidecar(path, {})
 
 
 def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[str | Path] = ()) -> None:
-    """Write a text file atomically.
+    """Write a text file atomically, and its sidecar file (`provenance.write_sidecar`).
 
     Parameters
     ----------
@@ -343,7 +367,7 @@ def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[
     text : str
         Content.
     code, inputs
-        Provenance as for `write`, which goes into the sidecar file; none without `code`.
+        Provenance as for `write`, which goes into the sidecar file; if `code` is "", none is written there.
 
     Raises
     ------
@@ -355,42 +379,48 @@ def write_text(path: str | Path, text: str, *, code: str = "", inputs: Sequence[
 
 
 def read_owner(results: Path) -> str:
-    """Return the folder of the dataset whose results a folder holds, or "" if none is noted. Raises `InputError`."""
-    note = results / ".dataset"
+    """Return the folder of the dataset that owns a results folder; "" if the folder has no file `.dataset`.
+
+    Raises `InputError` if that file cannot be read.
+    """
+    owner_file = results / ".dataset"
     try:
-        return note.read_text(encoding="utf-8").strip() if note.exists() else ""
+        return owner_file.read_text(encoding="utf-8").strip() if owner_file.exists() else ""
     except OSError as error:
         raise InputError(f"{results}: cannot be read ({error.strerror}); name another folder in `results`") from None
 
 
-def check_claim(results: Path, folder: Path) -> None:
-    """Check that results of a dataset may be written to a folder; nothing is written.
+def check_claim(results: Path, dataset_folder: Path) -> None:
+    """Check that the results of a dataset may be written to a folder; nothing is written.
 
     Parameters
     ----------
     results : Path
-        Folder for results.
-    folder : Path
-        Folder of the dataset.
+        Results folder, which need not exist.
+    dataset_folder : Path
+        Absolute path of the dataset's folder.
 
     Raises
     ------
     InputError
-        If `results` holds those of another dataset, or cannot be written.
+        If `results` belongs to another dataset, or cannot be written.
     """
     owner = read_owner(results)
-    # If the owner no longer exists, the dataset was moved and its results belong to the new place.
-    if owner and owner != str(folder) and Path(owner).exists():
+    # If the folder of the owner no longer exists, the dataset was moved and keeps its results.
+    if owner and owner != str(dataset_folder) and Path(owner).exists():
         raise InputError(
             f"{results}: holds the results of {owner}, another folder of the same name;"
             f" name another folder in `results`"
         )
-    existing = next(path for path in (results, *results.absolute().parents) if path.exists())
-    if not existing.is_dir() or not os.access(existing, os.W_OK):
-        raise InputError(f"{results}: cannot be written ({existing} is in the way); name another folder in `results`")
+    nearest = next(path for path in (results, *results.absolute().parents) if path.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
+        raise InputError(f"{results}: cannot be written ({nearest} is in the way); name another folder in `results`")
 
 
-def claim(results: Path, folder: Path) -> None:
-    """Note in a folder for results that it belongs to a dataset. Raises `InputError` as `check_claim` does."""
-    check_claim(results, folder)
-    write_text(results / ".dataset", f"{folder}\n")
+def claim(results: Path, dataset_folder: Path) -> None:
+    """Write into a results folder, which is created if needed, that it belongs to a dataset (file `.dataset`).
+
+    `dataset_folder` is the absolute path of the dataset's folder. Raises `InputError` as `check_claim` does.
+    """
+    check_claim(results, dataset_folder)
+    write_text(results / ".dataset", f"{dataset_folder}\n")

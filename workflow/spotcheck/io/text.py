@@ -7,12 +7,12 @@ from spotcheck.errors import InputError
 
 
 def read_text(path: Path) -> str:
-    """Return the content of a UTF-8 or UTF-16 file without its byte order mark. Raises `InputError`."""
+    """Return the text of a UTF-8 or UTF-16 file without its byte order mark. Raises `InputError` if it is neither."""
     content = path.read_bytes()
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encoding = "utf-16"
     else:
-        # These files start with an ASCII character, so one of the first two bytes of UTF-16 is zero.
+        # UTF-16 without a mark: files here start with an ASCII character, so one of the first two bytes is zero.
         encoding = {0: "utf-16-be", 1: "utf-16-le"}.get(content[:2].find(b"\0"), "utf-8-sig")
     try:
         return content.decode(encoding)

@@ -1,4 +1,7 @@
-"""First look at images without a description: the `Look` and the function that makes it."""
+"""First look at images without a description: the `Look` and the function that makes it.
+
+A scan is a series of images at several positions along the beam, from which M² follows.
+"""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +18,7 @@ from spotcheck.quicklook.image_analysis import ImageResult, analyse_image
 from spotcheck.quicklook.images import PITCH, WAVELENGTH, Image, ImageInput, Z, find_common_value, open_images
 from spotcheck.quicklook.scan import BeamScan, fit_scan
 
-# Longest plausible scan [m].
+# Longest plausible scan [m]; longer ones are probably in mm.
 LONGEST_SCAN_M = 50.0
 
 
@@ -27,7 +30,8 @@ class Look:
     ----------
     images : results of each image: Gaussian fit, second moments, clipped pixels.
     cameras : properties of each camera; images of one size and bit depth share a camera.
-    beams : caustics by second moments and by Gaussian fits; empty without positions, pixel pitch or wavelength.
+    beams : caustics (radius along z) by second moments and by Gaussian fits; empty without positions, pixel pitch or
+        wavelength.
     pixel_pitch_m, wavelength_m : as given or as stated by the files; None if unknown.
     remarks : sentences about the sources of these values and about missing or implausible ones.
 
@@ -64,6 +68,7 @@ class Look:
         return page.write_page(self, Path(folder))
 
     def __repr__(self) -> str:
+        """Return all results as text, which `print` shows."""
         return text_report.format_look(self)
 
 
@@ -84,8 +89,7 @@ def look(
     ----------
     images : an array [rows, columns] in DN, a file, a folder, or several of them. The images of a folder are sorted by
         name, with numbers in numerical order; every page of a stack is an image.
-    z_m : position of each image along the beam [m], in the order of the images. By default, what the files or their
-        names state (`z_176mm.tif`).
+    z_m : position of each image along the beam [m]; by default what the files or their names state (`z_176mm.tif`).
     pixel_pitch_m : pixel pitch [m], for widths in metres.
     wavelength_m : wavelength [m]; M² needs it and the pixel pitch.
 
@@ -106,21 +110,20 @@ def look(
     >>> sensor = spotcheck.SensorModel(gain_dn_per_e=0.5, read_noise_e=5, black_level_dn=20, full_scale_dn=1023)
     >>> y, x = np.mgrid[:120, :160]
     >>> photons = 900 * np.exp(-(((x - 81.3) / 7) ** 2 + ((y - 62.6) / 5) ** 2) / 2)
-    >>> found = spotcheck.look(sensor.draw(photons, rng=1))
-    >>> width = found.images[0].moments
+    >>> width = spotcheck.look(sensor.draw(photons, rng=1)).images[0].moments
     >>> print(f"D4σ {width.major:.1f} ± {width.major_stderr:.1f} px, {width.minor:.1f} ± {width.minor_stderr:.1f} px")
     D4σ 27.9 ± 0.5 px, 19.7 ± 0.4 px
     """
-    opened, errors = open_images(images)
+    opened_images, errors = open_images(images)
     for name, value in (("pixel pitch", pixel_pitch_m), ("wavelength", wavelength_m)):
         if value is not None and not 0 < value < 1:
             raise InputError(f"{name}: is {value:g} m; it must be above 0 and below 1 m")
     remarks = [f"left out: {error}" for error in errors]
-    pixel_pitch_m, pitch_remarks = _find_length("pixel pitch", pixel_pitch_m, PITCH, opened, 1e6, "µm")
-    wavelength_m, wavelength_remarks = _find_length("wavelength", wavelength_m, WAVELENGTH, opened, 1e9, "nm")
-    positions, position_remarks = _find_positions(opened, None if z_m is None else list(z_m), errors)
-    remarks += [*pitch_remarks, *wavelength_remarks, *_remark_on_colours(opened), *position_remarks]
-    cameras, results = _analyse_images(opened, positions)
+    pixel_pitch_m, pitch_remarks = _find_length("pixel pitch", pixel_pitch_m, PITCH, opened_images, 1e6, "µm")
+    wavelength_m, wavelength_remarks = _find_length("wavelength", wavelength_m, WAVELENGTH, opened_images, 1e9, "nm")
+    positions, position_remarks = _find_positions(opened_images, None if z_m is None else list(z_m), errors)
+    remarks += [*pitch_remarks, *wavelength_remarks, *_remark_on_colours(opened_images), *position_remarks]
+    cameras, results = _analyse_images(opened_images, positions)
     beams: tuple[BeamScan, ...] = ()
     is_scan = any(z is not None for z in positions)
     if is_scan and pixel_pitch_m and wavelength_m:
@@ -134,7 +137,11 @@ def look(
 def _find_length(
     name: str, value: float | None, key: str, images: Sequence[Image], factor: float, unit: str
 ) -> tuple[float | None, list[str]]:
-    """Return a length [m] as given or as stated by the files, and a remark on its source; (None, []) if unknown."""
+    """Return a length [m] as given (`value`) or as the files state it, and a remark on its source in a list.
+
+    `key` is that of the metadata, and the remark shows `factor` times the length in `unit`. Returns (None, []) if the
+    length is unknown.
+    """
     source = "as given"
     if value is None:
         value, source = find_common_value(images, key)
@@ -142,7 +149,7 @@ def _find_length(
 
 
 def _remark_on_colours(images: Sequence[Image]) -> list[str]:
-    """Return a remark on the channels that are read from colour images, if there are any."""
+    """Return a remark on the channels that are read from colour images; [] if there are none."""
     channels = sorted({str(image.colour.channel) for image in images if image.colour.channel})
     return [f"colour images: only the brightest channel is used, {' or '.join(channels)}"] if channels else []
 
@@ -150,7 +157,11 @@ def _remark_on_colours(images: Sequence[Image]) -> list[str]:
 def _find_positions(
     images: Sequence[Image], z_m: Sequence[float] | None, errors: Sequence[str]
 ) -> tuple[list[float | None], list[str]]:
-    """Return the position of each image [m], and remarks on their source and plausibility."""
+    """Return the position of each image [m], None if unknown, and remarks on their source and plausibility.
+
+    `z_m` are the positions that the user gives, or None; `errors` are the sentences about skipped files. All positions
+    are None unless the files state at least two different ones. Raises `InputError` if `z_m` does not fit the images.
+    """
     remarks: list[str] = []
     if z_m is not None:
         if errors:
@@ -168,20 +179,25 @@ def _find_positions(
         if len(set(positions) - {None}) < 2:
             return [None] * len(images), []
         source = next(image.metadata[Z].source for image in images if Z in image.metadata)
-        missing = positions.count(None)
-        remarks.append(f"z: from the {source}" + (f"; images without: {missing}" if missing else ""))
-    known = [z for z in positions if z is not None]
-    if known and max(known) - min(known) > LONGEST_SCAN_M:
-        remarks.append(f"z goes from {min(known):g} to {max(known):g} m, which is implausibly long: is it in mm?")
+        missing_count = positions.count(None)
+        remarks.append(f"z: from the {source}" + (f"; images without: {missing_count}" if missing_count else ""))
+    known_positions = [z for z in positions if z is not None]
+    lowest, highest = min(known_positions, default=0.0), max(known_positions, default=0.0)
+    if highest - lowest > LONGEST_SCAN_M:
+        remarks.append(f"z goes from {lowest:g} to {highest:g} m, which is implausibly long: is it in mm?")
     return positions, remarks
 
 
 def _analyse_images(
     images: Sequence[Image], positions: Sequence[float | None]
 ) -> tuple[list[Camera], list[ImageResult]]:
-    """Return the cameras, one for each size and bit depth, and the results in the order of the images."""
+    """Return the cameras, one for each size and bit depth, and the results in the order of the images.
+
+    `positions` are those of the images along the beam [m], None if unknown.
+    """
 
     def camera_key(index: int) -> tuple:
+        """Return size and bit depth of an image; 0 replaces None, which cannot be sorted."""
         return images[index].shape, images[index].bits or 0
 
     cameras: list[Camera] = []

@@ -15,7 +15,7 @@ from spotcheck.io.formats.colour import CHANNELS, MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 from spotcheck.io.formats.page import Page
 
-# Metadata that a first look uses.
+# Columns and keys of the metadata that a first look uses: position along the beam, pixel pitch, wavelength.
 Z, PITCH, WAVELENGTH = "z_m", "sensor.pixel_pitch_m", "laser.wavelength_m"
 
 ImageInput = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
@@ -27,31 +27,31 @@ class Image:
 
     name: str  # file name, with the page of a stack; "image N" for an array
     source: np.ndarray | Path  # readings [rows, columns] in DN, or the path of the file or stack
-    shape: tuple[int, ...]  # rows, columns
-    page: int = 0  # page of the stack
+    shape: tuple[int, ...]  # rows, columns [px]
+    page: int = 0  # page of the stack, from 0
     bits: int | None = None  # bits of a stored pixel; None unless pixels are unsigned integers
     metadata: dict[str, MetadataEntry] = field(default_factory=dict)  # what the file states, by column or key
     colour: Colour = MONOCHROME  # channel to read from a colour image
 
     def read(self) -> np.ndarray:
-        """Return the readings [rows, columns] in DN, NaN where masked or infinite.
+        """Return the readings [rows, columns] in DN as a new float64 array, NaN where masked or infinite.
 
         Raises `InputError` if no reading is finite.
         """
         if isinstance(self.source, Path):
-            stored = files.read_pixels(self.source, self.page, self.name, self.colour, allow_floats=True)
+            stored_pixels = files.read_pixels(self.source, self.page, self.name, self.colour, allow_floats=True)
         else:
-            stored = self.source
-        # A damaged file may hold signalling NaN.
+            stored_pixels = self.source
+        # A damaged file may hold signalling NaN, which would warn.
         with np.errstate(invalid="ignore"):
-            pixels = np.ma.filled(np.ma.asanyarray(stored).astype(float), np.nan)
+            pixels = np.ma.filled(np.ma.asanyarray(stored_pixels).astype(float), np.nan)
         is_finite = np.isfinite(pixels)
         if not is_finite.any():
             raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
         return np.where(is_finite, pixels, np.nan)
 
     def stated_value(self, key: str) -> float | None:
-        """Return the number that the file states for a column or key; None if it states none."""
+        """Return the number that the file states for a column or key, in its unit; None if it states none."""
         entry = self.metadata.get(key)
         return float(entry.value) if entry is not None and entry.value is not None else None
 
@@ -71,7 +71,7 @@ def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
     images : list of Image
         The images, in the order of the inputs.
     errors : list of str
-        One sentence per skipped file.
+        One sentence for each skipped file.
 
     Raises
     ------
@@ -107,9 +107,9 @@ def find_folder(path: Path) -> Path:
 
 
 def find_common_value(images: Sequence[Image], key: str) -> tuple[float | None, str]:
-    """Return the number that files state for a column or key, and its source.
+    """Return the number that files state for a column or key, in its unit, and its source in words.
 
-    Returns (None, "") if no file states it or files disagree.
+    Images whose file does not state it do not count. Returns (None, "") if no file states it or files disagree.
     """
     entries = [entry for image in images if (entry := image.metadata.get(key)) is not None]
     if not entries or len({entry.value for entry in entries}) > 1:
@@ -118,36 +118,46 @@ def find_common_value(images: Sequence[Image], key: str) -> tuple[float | None, 
 
 
 def _list_files(path: Path) -> list[Path]:
-    """Return the image files of a folder, or the file itself."""
+    """Return the image files of a folder in natural order, or the file itself, perhaps with a path inside it.
+
+    Raises `InputError` for a missing file and for a folder without images.
+    """
     if not path.is_dir():
         if not (file := Path(split_inner_path(path.as_posix())[0])).exists():
             raise InputError(f"{file}: no such file; name image files or a folder of them")
         return [path]
-    found = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
-    if not found:
+    images = [p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != "." and p.is_file()]
+    if not images:
         frames = path / "frames"
         hint = f"; look at {frames}" if frames.is_dir() else "; name a folder with TIFF, PNG, PGM, HDF5 or .npy files"
         raise InputError(f"{path}: holds no image{hint}")
-    return sorted(found, key=lambda file: natural_sort_key(file.name))
+    return sorted(images, key=lambda file: natural_sort_key(file.name))
 
 
 def _open_pages(path: Path) -> Iterator[Image]:
-    """Yield every page of every stack of a file, without previews."""
-    name, inside = split_inner_path(path.as_posix())
+    """Yield every page of every stack of a file, or of the stack at the path inside it, without previews.
+
+    Raises `InputError`.
+    """
+    name, inner_path = split_inner_path(path.as_posix())
     file = Path(name)
-    for stack in [f"{file.name}#{inside}"] if inside else files.list_stacks(file, file.name):
+    for stack in [f"{file.name}#{inner_path}"] if inner_path else files.list_stacks(file, file.name):
         source, entries = file.parent / stack, read_metadata(file, inner_path=split_inner_path(stack)[1])
         pages, colour = _list_pages(source, stack)
-        numbered = [(number, page) for number, page in enumerate(pages) if not page.preview]
-        for number, page in numbered:
-            title = stack if len(numbered) == 1 else f"{stack} page {number}"
-            yield Image(
-                title, source, page.shape, number, page.bits or None, resolve_entries(entries, number)[0], colour
-            )
+        image_pages = [(page_number, page) for page_number, page in enumerate(pages) if not page.preview]
+        for page_number, page in image_pages:
+            title = stack if len(image_pages) == 1 else f"{stack} page {page_number}"
+            metadata, _ = resolve_entries(entries, page_number)
+            # Pages of floating-point numbers have 0 bits.
+            yield Image(title, source, page.shape, page_number, page.bits or None, metadata, colour)
 
 
 def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:
-    """Return the pages of a stack, and the brightest channel of a colour image: a laser excites mainly one."""
+    """Return the page headers of a stack, and the brightest channel of a colour image: a laser excites mainly one.
+
+    The colour is `MONOCHROME` for images without colours. The first page of a stack decides for all pages. Raises
+    `InputError` if the stack is neither of one channel nor of RGB.
+    """
     try:
         return files.list_pages(path, name, allow_floats=True), MONOCHROME
     except InputError as refusal:
@@ -161,7 +171,10 @@ def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:
 
 
 def _wrap_array(pixels: np.ndarray, number: int) -> Image:
-    """Return an array as an image. Raises `InputError` if it is not two-dimensional and numeric."""
+    """Return an array as an image; `number` is its position in the inputs, from 0.
+
+    Raises `InputError` if it is not two-dimensional and numeric.
+    """
     array = np.ma.asanyarray(pixels)
     if array.ndim != 2 or array.dtype.kind not in "uif" or not array.size:
         raise InputError(

@@ -1,4 +1,8 @@
-"""Numbers of a first look for JSON: keys end in units, and None stands for an unknown value."""
+"""Numbers of a first look for JSON: keys end in units, and None stands for an unknown value.
+
+Each number has its standard error under a second key: `gain_dn_per_e` and `gain_stderr_dn_per_e`. Unknown numbers are
+NaN or infinite until `build_json` replaces them by None.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +20,14 @@ from spotcheck.quicklook.scan import FIT, MOMENTS, BeamScan
 if TYPE_CHECKING:
     from spotcheck.quicklook.first_look import Look
 
-# Key of each method of a scan.
+# Key of each method by which a scan measures widths.
 METHOD_KEYS = {MOMENTS: "second_moments", FIT: "gaussian_fit"}
 # End of a key by unit.
 SUFFIXES = {"DN": "_dn", "pixel": "_px", "degree": "_deg", "m": "_m", "rad": "_rad", "1": ""}
 
 
 def build_json(look: Look) -> dict[str, Any]:
-    """Return all numbers of a look as plain dictionaries, lists, numbers and strings."""
+    """Return all numbers of a look as plain dictionaries, lists, numbers, strings and None."""
     return _replace_unknown(
         {
             "images": [_convert_image(image, look.pixel_pitch_m) for image in look.images],
@@ -37,7 +41,7 @@ def build_json(look: Look) -> dict[str, Any]:
 
 
 def _convert_image(image: ImageResult, pitch_m: float | None) -> dict[str, Any]:
-    """Return the results of one image."""
+    """Return the results of one image; `pitch_m` is the pixel pitch [m], None if unknown."""
     rows, columns = image.shape
     return {
         "name": image.name,
@@ -57,7 +61,12 @@ def _convert_image(image: ImageResult, pitch_m: float | None) -> dict[str, Any]:
 
 
 def _convert_moments(moments: Moments, pitch_m: float | None) -> dict[str, Any]:
-    """Return the second moments with their errors."""
+    """Return the second moments with their errors; widths also in metres if the pixel pitch [m] is known.
+
+    `area_inside` is the fraction of the area of integration inside the frame; `whole` tells whether that is enough for
+    the standard. `settled` tells whether the iteration of that area converged, `measured` whether the errors of both
+    widths are small enough to state them.
+    """
     return {
         **_with_error("x", moments.x, moments.x_stderr, "_px"),
         **_with_error("y", moments.y, moments.y_stderr, "_px"),
@@ -73,7 +82,10 @@ def _convert_moments(moments: Moments, pitch_m: float | None) -> dict[str, Any]:
 
 
 def _convert_fit(image: ImageResult, fit: SpotFits, pitch_m: float | None) -> dict[str, Any]:
-    """Return status, χ² and parameters of the fit, with their errors."""
+    """Return status, reduced χ² and parameters of the fit of an image, with their errors.
+
+    Widths are also in metres if the pixel pitch [m] is known.
+    """
     numbers: dict[str, Any] = {"status": str(fit.status), "chi2_reduced": float(fit.chi2_reduced)}
     for name, (unit, _) in PARAMETERS.items():
         pitch = pitch_m if name.startswith("sigma") else None
@@ -82,7 +94,10 @@ def _convert_fit(image: ImageResult, fit: SpotFits, pitch_m: float | None) -> di
 
 
 def _with_error(name: str, value: Any, stderr: Any, suffix: str, pitch_m: float | None = None) -> dict[str, Any]:
-    """Return a number and its standard error, and both in metres too if a pixel pitch is given."""
+    """Return a number and its standard error, with the unit `suffix` in the keys such as `_px`.
+
+    If a pixel pitch [m] is given, both are added in metres. `value` and `stderr` are numbers, lists or None.
+    """
     numbers = {f"{name}{suffix}": value, f"{name}_stderr{suffix}": stderr}
     if pitch_m is not None:
         numbers |= {f"{name}_m": value * pitch_m, f"{name}_stderr_m": stderr * pitch_m}
@@ -90,7 +105,10 @@ def _with_error(name: str, value: Any, stderr: Any, suffix: str, pitch_m: float 
 
 
 def _convert_camera(camera: Camera) -> dict[str, Any]:
-    """Return the properties of a camera; the keys are the same if gain and noise are unknown."""
+    """Return the properties of a camera; gain and read noise with their errors are None if unknown.
+
+    `stop_dn` is the clip level, and `how` the method or why gain and noise are unknown.
+    """
     numbers: dict[str, Any] = {
         "black_level_dn": camera.black_level_dn,
         "stop_dn": camera.clip_level_dn,
@@ -103,7 +121,7 @@ def _convert_camera(camera: Camera) -> dict[str, Any]:
 
 
 def _convert_scan(scan: BeamScan) -> dict[str, Any]:
-    """Return the caustics by axis, or why there are none."""
+    """Return the caustics by axis with their radii along z, or why there are none (`why_not`)."""
     if scan.reason:
         return {"why_not": scan.reason, "left_out": list(scan.left_out)}
     axes = {}
@@ -117,7 +135,10 @@ def _convert_scan(scan: BeamScan) -> dict[str, Any]:
 
 
 def _replace_unknown(content: Any) -> Any:
-    """Return the content with None instead of NaN and infinity, which JSON does not have."""
+    """Return nested dictionaries and lists with None instead of NaN and infinity, which JSON does not have.
+
+    Other numbers, such as those of NumPy, become floats.
+    """
     if isinstance(content, dict):
         return {key: _replace_unknown(value) for key, value in content.items()}
     if isinstance(content, list):

@@ -1,7 +1,11 @@
-"""Page of a first look, and its first picture as a file of its own."""
+"""Page of a first look, and its first picture as a separate file.
+
+A caustic is the radius of a beam along z. A row is the name and the text of a result.
+"""
 
 import base64
 import io
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,6 +17,7 @@ from spotcheck.report.pages import TEMPLATES
 if TYPE_CHECKING:
     from spotcheck.quicklook.first_look import Look
 
+# Names of the files that are written; the page is also the name of its template.
 PAGE, PICTURE = "look.html", "look.png"
 # Most images with a picture; if there are more, evenly spaced ones are drawn.
 MOST_PICTURES = 24
@@ -21,27 +26,32 @@ MOST_PICTURES = 24
 class PagePicture(NamedTuple):
     """A picture on the page."""
 
-    png: bytes  # the picture
-    caption: str  # what it shows
+    png: bytes  # content of the PNG file
+    caption: str  # what the picture shows
     title: str  # name of the image; "" for caustics
-    rows: text_report.Rows  # results of the image
+    rows: text_report.Rows  # results of the image; [] for caustics
 
     @property
     def data_url(self) -> str:
-        """The picture as a URL that contains it."""
+        """URL that contains the picture itself (RFC 2397)."""
         return f"data:image/png;base64,{base64.b64encode(self.png).decode('ascii')}"
 
 
 def write_page(look: "Look", folder: Path) -> Path:
-    """Write look.html, and look.png with the caustics or the first spot; return the path of the page."""
+    """Write look.html, and look.png with the caustics or the first spot; return the path of the page.
+
+    There is no look.png if there are neither caustics nor spots. Raises `InputError` if `folder` cannot be written.
+    """
     pitch_m, images = look.pixel_pitch_m, look.images
     is_single = len(images) == 1
-    caustics = [_render(pictures.draw_caustics(look.beams))] if any(not scan.reason for scan in look.beams) else []
-    with_picture = [image for image in images if image.picture is not None]
-    step = -(-len(with_picture) // MOST_PICTURES) or 1
+    has_caustics = any(not scan.reason for scan in look.beams)
+    caustics = [_render(pictures.draw_caustics(look.beams))] if has_caustics else []
+    images_with_spot = [image for image in images if image.picture is not None]
+    # Every `step`-th image is drawn, at most `MOST_PICTURES` in all.
+    step = max(1, math.ceil(len(images_with_spot) / MOST_PICTURES))
     spots = [
         _render(pictures.draw_spot(image), image.name, text_report.describe_image(image, pitch_m))
-        for image in with_picture[::step]
+        for image in images_with_spot[::step]
     ]
     head, body = text_report.build_table(images, pitch_m)
     content = TEMPLATES.get_template(PAGE).render(
@@ -58,14 +68,14 @@ def write_page(look: "Look", folder: Path) -> Path:
         without_picture=len(images) - len(spots),
     )
     atomic_files.write_text(folder / PAGE, content)
-    for first in [*caustics, *spots][:1]:
+    if page_pictures := [*caustics, *spots]:
         with atomic_files.write_atomically(folder / PICTURE) as scratch:
-            scratch.write_bytes(first.png)
+            scratch.write_bytes(page_pictures[0].png)
     return folder / PAGE
 
 
 def _render(drawing: style.Drawing, title: str = "", rows: text_report.Rows | None = None) -> PagePicture:
-    """Return a drawing as PNG with what stands beside it on the page."""
+    """Return a drawing as a picture on the page, with the name of its image and the results beside it."""
     stream = io.BytesIO()
     with style.house_style():
         drawing.figure.savefig(stream, format="png", metadata={"Software": None})

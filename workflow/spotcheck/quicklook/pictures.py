@@ -1,6 +1,11 @@
-"""Pictures of a first look: a spot with its ellipses and profiles, and the caustics of a scan."""
+"""Pictures of a first look: a spot with its ellipses and profiles, and the caustics of a scan.
+
+A caustic is the 1/e² radius of a beam along z, to which a hyperbola is fitted. D4σ is the width by second moments; its
+area of integration is a rectangle around the spot.
+"""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,8 +20,12 @@ from spotcheck.report.figures import style
 
 # Colours that stand out on the dark map of an image.
 MOMENTS_COLOUR, FIT_COLOUR = "#2FC79A", "white"
+# Dashes of the contour of the fit, the area of integration and the clip level: offset, and lengths of line and gap.
+DASHED, DOTTED, CLIP_DOTTED = (0, (4, 2)), (0, (1, 2)), (0, (1, 1.5))
 # Colour, marker and dashes of the first and the second axis of a beam.
 AXIS_STYLES = ((style.MEASURED, "o", "solid"), (style.SIMULATED, "s", (0, (5, 2))))
+# Margin beside the outermost positions of a caustic, as a fraction of their range; and points of its curve.
+CAUSTIC_MARGIN, CURVE_POINTS = 0.06, 200
 
 
 def draw_spot(image: ImageResult) -> style.Drawing:
@@ -24,21 +33,25 @@ def draw_spot(image: ImageResult) -> style.Drawing:
 
     Parameters
     ----------
-    image : results of an image with a spot.
+    image : results of an image with a fitted spot.
+
+    Returns
+    -------
+    Drawing
+        The figure and its caption.
     """
     assert image.picture is not None and image.fit is not None
     fit, moments, picture = image.fit, image.moments, image.picture
     figure = style.new_figure(2.55, 8.6)
     map_axes, *profile_axes = figure.subplots(1, 3, width_ratios=(1.1, 1, 1))
     highest = image.clipping.highest_dn
-    # The square root makes faint light beside the spot visible.
+    # The square root makes faint light beside the spot visible. The range must not be empty.
     norm = PowerNorm(0.5, vmin=min(float(fit.offset), np.nextafter(highest, -np.inf)), vmax=highest, clip=True)
     map_axes.imshow(picture.window, cmap=style.IMAGE_MAP, extent=picture.extent, norm=norm)
     map_axes.grid(False)
     centre, size = (float(fit.x_centre), float(fit.y_centre)), (4 * float(fit.sigma_major), 4 * float(fit.sigma_minor))
-    map_axes.add_patch(
-        Ellipse(centre, *size, angle=float(fit.orientation), fill=False, edgecolor=FIT_COLOUR, linestyle=(0, (4, 2)))
-    )
+    contour = Ellipse(centre, *size, angle=float(fit.orientation), fill=False, edgecolor=FIT_COLOUR, linestyle=DASHED)
+    map_axes.add_patch(contour)
     if moments.is_measured:
         _draw_moments(map_axes, moments)
     map_axes.set(xlim=picture.extent[:2], ylim=picture.extent[2:], xlabel="column / px", ylabel="row / px")
@@ -57,18 +70,13 @@ def draw_spot(image: ImageResult) -> style.Drawing:
 
 
 def _draw_moments(axes: Axes, moments: Moments) -> None:
-    """Draw the ellipse of D4σ and its area of integration."""
-    angle, (width, height) = moments.azimuth, (moments.major, moments.minor)
-    axes.add_patch(
-        Ellipse((moments.x, moments.y), width, height, angle=angle, fill=False, linewidth=1.3, edgecolor=MOMENTS_COLOUR)
-    )
-    corner = moments.x - AREA * width / 2, moments.y - AREA * height / 2
-    axes.add_patch(
-        Rectangle(
-            corner, AREA * width, AREA * height, angle=angle, rotation_point="center", fill=False,
-            edgecolor=MOMENTS_COLOUR, linewidth=0.8, linestyle=(0, (1, 2)),
-        )
-    )  # fmt: skip
+    """Draw the ellipse of D4σ and its area of integration into a map with axes in px."""
+    outline: dict[str, Any] = {"angle": moments.azimuth, "fill": False, "edgecolor": MOMENTS_COLOUR}
+    axes.add_patch(Ellipse((moments.x, moments.y), moments.major, moments.minor, linewidth=1.3, **outline))
+    width, height = AREA * moments.major, AREA * moments.minor
+    corner = moments.x - width / 2, moments.y - height / 2
+    outline |= {"rotation_point": "center", "linewidth": 0.8, "linestyle": DOTTED}
+    axes.add_patch(Rectangle(corner, width, height, **outline))
 
 
 def _draw_profile(axes: Axes, profile: Profile, image: ImageResult) -> None:
@@ -77,7 +85,7 @@ def _draw_profile(axes: Axes, profile: Profile, image: ImageResult) -> None:
     axes.plot(profile.distance, profile.fitted, color=style.SIMULATED, label="Gaussian fit")
     if image.clipping.pixels:
         level = image.clipping.level_dn
-        axes.axhline(level, color="0.3", linestyle=(0, (1, 1.5)), linewidth=1, label="clip level")
+        axes.axhline(level, color="0.3", linestyle=CLIP_DOTTED, linewidth=1, label="clip level")
     axes.set_xlim(profile.distance[0], profile.distance[-1])
 
 
@@ -87,13 +95,18 @@ def draw_caustics(scans: Sequence[BeamScan]) -> style.Drawing:
     Parameters
     ----------
     scans : scans by each method; at least one has caustics.
+
+    Returns
+    -------
+    Drawing
+        The figure and its caption.
     """
     scans = [scan for scan in scans if not scan.reason]
     figure = style.new_figure(3.3, 8.6)
     panels = figure.subplots(1, len(scans), sharey=True, sharex=True, squeeze=False)[0]
     for axes, scan in zip(panels, scans, strict=True):
-        margin = 0.06 * np.ptp(scan.z)
-        z = np.linspace(scan.z.min() - margin, scan.z.max() + margin, 200)
+        margin = CAUSTIC_MARGIN * np.ptp(scan.z)
+        z = np.linspace(scan.z.min() - margin, scan.z.max() + margin, CURVE_POINTS)
         for (axis, caustic), (colour, marker, dashes) in zip(scan.caustics.items(), AXIS_STYLES, strict=False):
             radius = scan.radius[axis]
             axes.errorbar(

@@ -1,4 +1,8 @@
-"""M² of a scan along z (ISO 11146-1) from second moments and from Gaussian fits."""
+"""M² of a scan along z (ISO 11146-1) from second moments and from Gaussian fits.
+
+A scan is a series of images at several positions along a beam. A caustic is the radius of the beam along z, to which a
+hyperbola is fitted. D4σ is the width by second moments: four standard deviations σ.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -9,6 +13,7 @@ from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_width
 from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, describe_axis_rotation, fit_caustic
 from spotcheck.quicklook.image_analysis import ImageResult
 
+# Methods of measuring widths.
 MOMENTS, FIT = "second moments", "Gaussian fit"
 
 
@@ -17,12 +22,12 @@ class BeamScan:
     """Caustics of a beam by one method of measuring widths."""
 
     method: str  # MOMENTS or FIT
-    z: np.ndarray  # positions of the images with a usable width [m], shape [image]
+    z: np.ndarray  # positions of the images with a usable width and a position [m], shape [image]
     left_out: tuple[str, ...]  # names of the images without a usable width or a position
     reason: str = ""  # why there is no caustic; "" if there is one
     radius: dict[str, np.ndarray] = field(default_factory=dict)  # 1/e² radius [m] by axis, shape [image]
-    stderr: dict[str, np.ndarray] = field(default_factory=dict)  # standard error of the radius [m] by axis
-    caustics: dict[str, Caustic] = field(default_factory=dict)  # hyperbola by axis
+    stderr: dict[str, np.ndarray] = field(default_factory=dict)  # standard error of the radius [m] by axis, [image]
+    caustics: dict[str, Caustic] = field(default_factory=dict)  # fitted hyperbola by axis
 
 
 def fit_scan(images: Sequence[ImageResult], pitch_m: float, wavelength_m: float) -> tuple[BeamScan, ...]:
@@ -44,7 +49,10 @@ def fit_scan(images: Sequence[ImageResult], pitch_m: float, wavelength_m: float)
 
 
 def _select_moments(image: ImageResult) -> tuple[float, ...] | None:
-    """Return the fields of `Widths` [px, degree] by second moments; None if D4σ does not follow the standard."""
+    """Return the fields of `SpotWidths` (widths σ [px], direction [deg], their errors) by second moments.
+
+    Returns None if D4σ does not follow the standard: its error is too large, or its area exceeds the frame.
+    """
     moments = image.moments
     if not (moments.is_measured and moments.is_whole):
         return None
@@ -55,7 +63,10 @@ def _select_moments(image: ImageResult) -> tuple[float, ...] | None:
 
 
 def _select_fit(image: ImageResult) -> tuple[float, ...] | None:
-    """Return the fields of `Widths` [px, degree] by the Gaussian fit; None if it is not reliable."""
+    """Return the fields of `SpotWidths` (widths σ [px], direction [deg], their errors) by the Gaussian fit.
+
+    Returns None if the fit is not reliable.
+    """
     if not image.has_reliable_fit:
         return None
     values, stderrs = zip(*map(image.fit_value, ("sigma_major", "sigma_minor", "orientation")), strict=True)
@@ -65,7 +76,11 @@ def _select_fit(image: ImageResult) -> tuple[float, ...] | None:
 def _fit_beam(
     method: str, select: Callable, images: Sequence[ImageResult], pitch_m: float, wavelength_m: float
 ) -> BeamScan:
-    """Return the caustics along the axes of the beam; of the mean radius if the beam is round."""
+    """Return the caustics along the axes of the beam, or that of the mean radius if the beam is round.
+
+    `method` is MOMENTS or FIT, and `select` the function that returns the fields of `SpotWidths` of an image or None.
+    There is no caustic, only a reason, if positions are too few or the axes rotate along the beam.
+    """
     widths = [None if image.z_m is None else select(image) for image in images]
     left_out = tuple(image.name for image, values in zip(images, widths, strict=True) if values is None)
     z = np.array([image.z_m for image, values in zip(images, widths, strict=True) if values is not None], float)
@@ -80,10 +95,10 @@ def _fit_beam(
         directions = {f"axis at {round(axes.azimuth + turn)}°": axes.azimuth + turn for turn in (0, 90)}
         sigmas = {axis: project_widths(spots, azimuth) for axis, azimuth in directions.items()}
     else:
-        mean, mean_stderr = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
-        sigmas = {"mean of both axes": (mean, mean_stderr)}
+        mean, stderr_of_mean = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
+        sigmas = {"mean of both axes": (mean, stderr_of_mean)}
     # The 1/e² radius is 2σ.
     radius = {axis: 2 * pitch_m * sigma for axis, (sigma, _) in sigmas.items()}
-    stderr = {axis: 2 * pitch_m * error for axis, (_, error) in sigmas.items()}
+    stderr = {axis: 2 * pitch_m * sigma_stderr for axis, (_, sigma_stderr) in sigmas.items()}
     caustics = {axis: fit_caustic(z, radius[axis], stderr[axis], wavelength_m=wavelength_m) for axis in sigmas}
     return BeamScan(method, z, left_out, "", radius, stderr, caustics)

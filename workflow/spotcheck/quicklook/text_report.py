@@ -1,4 +1,9 @@
-"""Text of a first look: lines for one image, a table for several, cautions, camera properties and M²."""
+"""Text of a first look: lines for one image, a table for several, cautions, camera properties and M².
+
+D4σ is the width by second moments, and 4σ that of the Gaussian fit. The area of integration of D4σ is a rectangle
+around the spot. A caution is a sentence that says why a number may be wrong. `pitch_m` is the pixel pitch [m], None if
+unknown.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +22,25 @@ from spotcheck.quicklook.scan import BeamScan
 if TYPE_CHECKING:
     from spotcheck.quicklook.first_look import Look
 
-# Reduced χ² above which the shape of the spot, not noise, dominates the errors of the fit: they are doubled there.
+# Reduced χ² above which the errors of the fit are at least doubled: the shape of the spot, not noise, dominates them.
 SHAPE_CHI2 = 4.0
-# Least widening of D4σ by a clip that is reported.
+# Least relative widening of D4σ by a clip that is reported.
 LEAST_WIDENING = 1e-3
 # Mark of a D4σ whose area of integration extends beyond the frame.
 UNCERTAIN = "*"
-# Least number of positions of a scan (ISO 11146-1).
-STANDARD_POSITIONS = 10
-# Names that a list spells out.
+# Least number of positions of a scan, half of them within the first and half beyond the second distance from the waist
+# in Rayleigh lengths (ISO 11146-1).
+STANDARD_POSITIONS, NEAR_WAIST, FAR_FROM_WAIST = 10, 1, 2
+# Most names that a list spells out, if there are at least two more.
 MOST_NAMES = 9
 # Space between columns, and characters of a row's name, of an image's name in a table, and of a line.
 GAP, NAME_WIDTH, LONGEST_NAME, LINE_WIDTH = "  ", 15, 28, 100
+# Heading of the column with the direction of the long axis.
 DIRECTION = "long axis [°]"
-# An error below this part of its value is rounding of the arithmetic.
+# An error below this fraction of its value is rounding of the arithmetic.
 ARITHMETIC = 1e-9
 
-# Name and text of each row.
+# Name and text of each row of a list of results.
 Rows = list[tuple[str, str]]
 
 
@@ -45,14 +52,14 @@ class Caution(NamedTuple):
 
 
 def format_look(look: Look) -> str:
-    """Return all results as text."""
+    """Return all results as text: lines of at most `LINE_WIDTH` characters in blocks between blank lines."""
     cameras = [_format_rows(describe_camera(camera, look.cameras)) for camera in look.cameras]
     if len(look.images) == 1:
         image = look.images[0]
         blocks = [[image.name, *_format_rows(describe_image(image, look.pixel_pitch_m)), *cameras[0]]]
     else:
         head, body = build_table(look.images, look.pixel_pitch_m)
-        # All columns side by side are wider than a terminal.
+        # All columns side by side are wider than a terminal, so that the table is split into two.
         split = head.index(DIRECTION)
         blocks = [
             _align_columns([row[:split] for row in (head, *body)]),
@@ -65,7 +72,7 @@ def format_look(look: Look) -> str:
 
 
 def describe_camera(camera: Camera, cameras: Sequence[Camera]) -> Rows:
-    """Return the properties of a camera, and its images if there are several cameras."""
+    """Return the properties of a camera, and the names of its images if `cameras` are several."""
     rows = [("images", _list_names(camera.images))] if len(cameras) > 1 else []
     if camera.gain is None or camera.read_noise is None:
         rows.append(("gain, read noise", f"unknown: {camera.method}"))
@@ -80,7 +87,7 @@ def describe_camera(camera: Camera, cameras: Sequence[Camera]) -> Rows:
 
 
 def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
-    """Return the results of one image."""
+    """Return the results of one image; only that there is no spot if it has no fit."""
     if image.fit is None:
         height, width = image.shape
         rows = [("spot", f"none: nothing stands out of the noise on {width} × {height} px")]
@@ -89,15 +96,15 @@ def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
     x, y = _format_value(*image.fit_value("x_centre")), _format_value(*image.fit_value("y_centre"), "px")
     peak, offset = (_format_value(*image.fit_value(name), "DN") for name in ("amplitude", "offset"))
     fit_size = _format_widths(image.fit_widths, pitch_m) + _format_axis(*image.fit_value("orientation"))
-    size = "unknown: the error of D4σ exceeds half of its value"
+    moment_size = "unknown: the error of D4σ exceeds half of its value"
     if moments.is_measured:
         axis = _format_axis(moments.azimuth, moments.azimuth_stderr)
-        size = f"D4σ {_format_widths(image.moment_widths, pitch_m)}{axis}"
+        moment_size = f"D4σ {_format_widths(image.moment_widths, pitch_m)}{axis}"
     clip = _describe_clip(image)
     return [
         ("centre", f"x {x}, y {y}"),
         ("Gaussian fit", f"4σ {fit_size}"),
-        ("second moments", size),
+        ("second moments", moment_size),
         ("peak", f"{peak} above an offset of {offset}; {highest}"),
         ("shape", _describe_shape(image)),
         ("clipped", f"{clip.value}; {clip.sentence}" if clip else f"no; {highest}"),
@@ -106,42 +113,43 @@ def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
 
 
 def _describe_shape(image: ImageResult) -> str:
-    """Return whether the spot is round and whether it is a Gaussian."""
-    # ISO 11146-1 defines roundness by second moments; the fit is the substitute.
+    """Return whether the spot is round and whether it is a Gaussian, for an image with a fit."""
+    # ISO 11146-1 defines roundness by second moments. The fit stands in if they are not measured.
     by_moments = image.moments.is_measured
     (major, major_stderr), (minor, minor_stderr) = image.moment_widths if by_moments else image.fit_widths
     ratio = minor / major
     stderr = ratio * math.hypot(minor_stderr / minor, major_stderr / major)
     text = f"short over long {'D4σ' if by_moments else '4σ of the fit'} {_format_value(ratio, stderr)}"
-    _, axis_stderr = image.fit_value("orientation")
-    if not math.isfinite(image.moments.azimuth_stderr if by_moments else axis_stderr):
-        shape = f"round within the noise ({text})"
+    _, fit_axis_stderr = image.fit_value("orientation")
+    # The error of the direction is infinite if the axes do not differ significantly.
+    if not math.isfinite(image.moments.azimuth_stderr if by_moments else fit_axis_stderr):
+        roundness = f"round within the noise ({text})"
     elif ratio >= ROUND_RATIO:
-        shape = f"round{' by ISO 11146-1' if by_moments else ''} ({text}, {ROUND_RATIO} or more)"
+        roundness = f"round{' by ISO 11146-1' if by_moments else ''} ({text}, {ROUND_RATIO} or more)"
     else:
-        shape = f"elliptical ({text})"
+        roundness = f"elliptical ({text})"
     residual = f"rms residual {100 * image.residual_rms:.2g} % of the peak"
     if not image.is_noise_known:
-        return f"{shape}; {residual}; the noise is unknown"
+        return f"{roundness}; {residual}; the noise is unknown"
     chi2 = math.nan if image.fit is None else float(image.fit.chi2_reduced)
     if chi2 <= GAUSSIAN_CHI2:
-        return f"{shape}; a Gaussian within the noise (reduced χ² {chi2:.3g})"
-    return f"{shape}; not a Gaussian: {residual}, reduced χ² {chi2:.3g}"
+        return f"{roundness}; a Gaussian within the noise (reduced χ² {chi2:.3g})"
+    return f"{roundness}; not a Gaussian: {residual}, reduced χ² {chi2:.3g}"
 
 
 def _count_clipped(image: ImageResult) -> str:
-    """Return the number of clipped pixels and their reading."""
+    """Return a phrase with the number of clipped pixels and their reading."""
     return f"{image.clipping.pixels} px at {image.clipping.level_dn:.5g} DN"
 
 
 def _describe_clip(image: ImageResult) -> Caution | None:
-    """Return the effect of clipped pixels on the results; None if there are none."""
+    """Return how the fit treats clipped pixels, with their number and effect on D4σ; None if there are none."""
     if not image.clipping.pixels:
         return None
     widening = image.clip_widening - 1
     effect = f", D4σ is about {100 * widening:.2g} % too wide" if widening > LEAST_WIDENING else ""
-    fit = "the fit takes the clip into account" if image.is_noise_known else "the fit leaves these pixels out"
-    return Caution(fit, _count_clipped(image) + effect)
+    sentence = "the fit takes the clip into account" if image.is_noise_known else "the fit leaves these pixels out"
+    return Caution(sentence, _count_clipped(image) + effect)
 
 
 def list_cautions(image: ImageResult) -> list[str]:
@@ -150,7 +158,7 @@ def list_cautions(image: ImageResult) -> list[str]:
 
 
 def _find_cautions(image: ImageResult) -> list[Caution]:
-    """Return the cautions about the widths of an image."""
+    """Return the cautions about fit, D4σ, their difference and outlying pixels of an image; [] if there are none."""
     cautions, moments, fit = [], image.moments, image.fit
     if fit is not None and not image.has_reliable_fit:
         cautions.append(Caution("the fit is not reliable: the image does not constrain it; status", str(fit.status)))
@@ -177,30 +185,34 @@ def _find_cautions(image: ImageResult) -> list[Caution]:
 
 def merge_cautions(images: Sequence[ImageResult]) -> list[str]:
     """Return the cautions about several images, each sentence once with the images that it concerns."""
-    concerned: dict[str, list[tuple[str, str]]] = {}
+    # Name and value of each image that a sentence concerns.
+    concerned_images: dict[str, list[tuple[str, str]]] = {}
     for image in images:
         cautions = [Caution("nothing stands out of the noise")] if image.fit is None else _find_cautions(image)
         if image.fit is not None and (clip := _describe_clip(image)):
             cautions.append(Caution(f"clipped; {clip.sentence}:", clip.value))
         for caution in cautions:
-            concerned.setdefault(caution.sentence, []).append((image.name, caution.value))
+            concerned_images.setdefault(caution.sentence, []).append((image.name, caution.value))
     lines = []
-    for sentence, pairs in concerned.items():
+    for sentence, pairs in concerned_images.items():
         names = _list_names([f"{value} ({name})" if value else name for name, value in pairs])
         lines.append(f"{sentence} {names}" if pairs[0][1] else f"{names}: {sentence}")
     return lines
 
 
 def build_table(images: Sequence[ImageResult], pitch_m: float | None) -> tuple[list[str], list[list[str]]]:
-    """Return the head and one row per image of a table; widths are in µm if the pixel pitch is known, else in px."""
+    """Return the headings and one row per image of a table; widths are in µm if the pixel pitch is known, else in px.
+
+    The column of z is missing if no position is known. Cells without a value are empty; unknown widths are "no value".
+    """
     unit, factor = ("px", 1.0) if pitch_m is None else ("µm", 1e6 * pitch_m)
     has_z = any(image.z_m is not None for image in images)
     head = ["image", *(["z [mm]"] if has_z else []), f"D4σ long [{unit}]", "short", f"4σ of fit long [{unit}]",
             "short", DIRECTION, "peak [DN]", "reduced χ²", "clipped [px]"]  # fmt: skip
     body = []
     for image in images:
-        name = image.name
-        row = [name if len(name) <= LONGEST_NAME else f"…{name[1 - LONGEST_NAME :]}"]
+        # The end of a long name distinguishes the images of a series.
+        row = [image.name if len(image.name) <= LONGEST_NAME else f"…{image.name[1 - LONGEST_NAME :]}"]
         if has_z:
             row.append("" if image.z_m is None else f"{1e3 * image.z_m:.6g}")
         mark = UNCERTAIN if image.moments.is_measured and not image.moments.is_whole else ""
@@ -209,10 +221,10 @@ def build_table(images: Sequence[ImageResult], pitch_m: float | None) -> tuple[l
         if image.fit is None:
             row += ["", "", ""]
         else:
-            angle, stderr = image.fit_value("orientation")
+            angle, angle_stderr = image.fit_value("orientation")
             chi2 = float(image.fit.chi2_reduced)
             row += [
-                _format_value(angle, stderr) if math.isfinite(stderr) else "round",
+                _format_value(angle, angle_stderr) if math.isfinite(angle_stderr) else "round",
                 _format_value(*image.fit_value("amplitude")),
                 f"{chi2:.3g}" if math.isfinite(chi2) else "",
             ]
@@ -221,12 +233,12 @@ def build_table(images: Sequence[ImageResult], pitch_m: float | None) -> tuple[l
 
 
 def describe_beams(look: Look) -> list[str]:
-    """Return M² by each method, and cautions about it."""
+    """Return M² by each method as lines, and cautions about it; [] without a scan."""
     return [*(line for scan in look.beams for line in _describe_scan(scan)), *list_scan_cautions(look)]
 
 
 def _describe_scan(scan: BeamScan) -> list[str]:
-    """Return M² and waist by one method, a line per axis."""
+    """Return M² and waist by one method, a line per axis, or one line that says why there are none."""
     left_out = f"; left out: {_list_names(scan.left_out)}" if scan.left_out else ""
     if scan.reason:
         return [f"M² by {scan.method}: {scan.reason}{left_out}"]
@@ -245,7 +257,10 @@ def _describe_scan(scan: BeamScan) -> list[str]:
 
 
 def list_scan_cautions(look: Look) -> list[str]:
-    """Return which M² to use if the spots have wings, and whether the positions follow ISO 11146-1."""
+    """Return cautions about M²: which one to use if spots have wings, and if positions do not follow ISO 11146-1.
+
+    The list is empty if there is nothing to say.
+    """
     if not look.beams:
         return []
     cautions = []
@@ -254,12 +269,14 @@ def list_scan_cautions(look: Look) -> list[str]:
             "use M² by second moments: fits ignore light outside the Gaussian, which ISO 11146 includes, so their M² is"
             " too small"
         )
-    # The standard uses second moments, which come first; all axes have the same positions.
+    # The standard is about second moments, the first of the beams. One axis will do, as all have the same positions.
     scan = look.beams[0]
     caustic = next(iter(scan.caustics.values()), None)
     if caustic is not None and math.isfinite(caustic.m2):
+        # Distances of the different positions from the waist, in Rayleigh lengths.
         distances = [abs(z - caustic.waist_position) / caustic.rayleigh_length for z in set(scan.z.tolist())]
-        near, far = sum(distance < 1 for distance in distances), sum(distance > 2 for distance in distances)
+        near = sum(distance < NEAR_WAIST for distance in distances)
+        far = sum(distance > FAR_FROM_WAIST for distance in distances)
         if min(near, far) < STANDARD_POSITIONS // 2:
             cautions.append(
                 f"ISO 11146-1 asks for {STANDARD_POSITIONS} positions or more, half of them within one Rayleigh length"
@@ -270,7 +287,7 @@ def list_scan_cautions(look: Look) -> list[str]:
 
 
 def _format_value(value: float, stderr: float, unit: str = "") -> str:
-    """Return value ± standard error; the value alone if the image has no noise."""
+    """Return value ± standard error with a unit; the value alone if its error is that of the arithmetic (no noise)."""
     return quantity_text(value, math.nan if stderr < ARITHMETIC * abs(value) else stderr, unit)
 
 
@@ -284,31 +301,32 @@ def _format_widths(widths: Widths, pitch_m: float | None) -> str:
 
 
 def _format_axis(angle_deg: float, stderr_deg: float) -> str:
-    """Return the direction of the long axis; "" if the spot is round."""
+    """Return the direction of the long axis as a phrase; "" if the spot is round (its error is not finite)."""
     return f", long axis at ({_format_value(angle_deg, stderr_deg)})°" if math.isfinite(stderr_deg) else ""
 
 
 def _format_rows(rows: Rows) -> list[str]:
-    """Return rows as lines with aligned texts."""
+    """Return rows as lines: the name in a column of `NAME_WIDTH` characters, then the text."""
     return [f"{name:<{NAME_WIDTH}} {text}" for name, text in rows]
 
 
 def _list_names(names: Sequence[str]) -> str:
-    """Return names between commas: the first ones and the number of the others if there are many."""
+    """Return names separated by commas; if there are many, the first `MOST_NAMES` and the number of the others."""
     more = len(names) - MOST_NAMES
     return ", ".join(names) if more <= 1 else f"{', '.join(names[:MOST_NAMES])} and {more} more"
 
 
 def _align_columns(rows: list[list[str]]) -> list[str]:
-    """Return a table as lines: the first column aligned left, the others right."""
+    """Return the rows of a table, all of the same length, as lines: the first column aligned left, the others right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [GAP.join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
 
 
 def _wrap_line(line: str) -> str:
-    """Return a line broken to the width of a terminal, with continuations below the text of a row."""
+    """Return a line broken to `LINE_WIDTH` characters, with continuations below the text of a row."""
     if len(line) <= LINE_WIDTH:
         return line
+    # Only rows of `_format_rows` have two blanks at the end of the column of names.
     indent = " " * (NAME_WIDTH + 1 if line[NAME_WIDTH - 1 : NAME_WIDTH + 1] == "  " else 2)
     # NUL keeps a number together with its error and unit.
     joined = re.sub(r"(?<=[\d±]) (?=[\d±%µmD])", "\0", line)

@@ -18,7 +18,8 @@ class MetadataEntry:
     column : column of manifest.csv (`kind`, `angle_deg`, `exposure_s`, `repeat`, `z_m`, `date`, `photons_per_px`), key
         of instrument.yaml (`sensor.pixel_pitch_m`, …), or `number` for the number at the end of a file name. None if
         the text was not understood.
-    value : number in the unit of `column`, or a word. None if the number has no unit or the text was not understood.
+    value : number in the unit of `column`, or a word or date. None if the unit of the number is missing or the text was
+        not understood.
     text : the text that was read, as messages show it.
     source : where the text was found, such as "TIFF tag 306 DateTime".
     page : page of the stack that the entry describes; None for all pages.
@@ -32,53 +33,56 @@ class MetadataEntry:
 
     @property
     def source_pattern(self) -> str:
-        """The source in a form that is common to all frames: a sidecar file is named by its suffix alone."""
+        """The source in a form that is common to all frames: a sidecar file is named by its suffix alone, `*.json`."""
         return re.sub(r"^side file .*(\.\w+)$", r"side file *\1", self.source)
 
     def __str__(self) -> str:
+        """Return the source and the text of the entry as a clause of a message."""
         return f"{self.source} says {self.text!r}"
 
 
 def group_by_column(entries: Iterable[MetadataEntry]) -> dict[str, list[MetadataEntry]]:
-    """Return the entries of each column in their order, without those that were not understood."""
-    by_column: dict[str, list[MetadataEntry]] = {}
+    """Return the entries of each column in their order, by column; entries without a column are dropped."""
+    entries_by_column: dict[str, list[MetadataEntry]] = {}
     for entry in entries:
         if entry.column:
-            by_column.setdefault(entry.column, []).append(entry)
-    return by_column
+            entries_by_column.setdefault(entry.column, []).append(entry)
+    return entries_by_column
 
 
 def resolve_entries(
     entries: Iterable[MetadataEntry], page: int = 0
 ) -> tuple[dict[str, MetadataEntry], dict[str, tuple[MetadataEntry, MetadataEntry]]]:
-    """Return the metadata of a page on which all sources agree, and the conflicts between sources.
+    """Return, for one page, the metadata on which its sources agree, and the conflicts between sources.
 
     Parameters
     ----------
-    entries : metadata of a file, the most exact sources first.
+    entries : metadata of a file, the most exact sources first; entries without a value do not count.
     page : page of the stack, from 0.
 
     Returns
     -------
-    agreed : the first entry of each column whose entries are consistent.
-    conflicts : the first entry of each other column, and the first that contradicts it.
+    agreed : dict
+        By column, the first entry of each column whose entries are all consistent with it.
+    conflicts : dict
+        By column, the first entry of each other column, and the first that contradicts it.
     """
     agreed, conflicts = {}, {}
     usable = (entry for entry in entries if entry.value is not None and entry.page in (None, page))
     for column, candidates in group_by_column(usable).items():
-        first = candidates[0]
-        contradicting = next((entry for entry in candidates if not is_consistent(first, entry)), None)
+        first_entry = candidates[0]
+        contradicting = next((entry for entry in candidates if not is_consistent(first_entry, entry)), None)
         if contradicting is None:
-            agreed[column] = first
+            agreed[column] = first_entry
         else:
-            conflicts[column] = first, contradicting
+            conflicts[column] = first_entry, contradicting
     return agreed, conflicts
 
 
 def is_consistent(first: MetadataEntry, second: MetadataEntry) -> bool:
     """Return whether two entries of a column agree: numbers within `ROUNDING_TOLERANCE`, dates by their day."""
     if first.column == "date":
-        return str(first.value)[:10] == str(second.value)[:10]
+        return str(first.value)[: len("2026-01-31")] == str(second.value)[: len("2026-01-31")]
     if isinstance(first.value, float) and isinstance(second.value, float):
         return math.isclose(first.value, second.value, rel_tol=ROUNDING_TOLERANCE)
     return first.value == second.value

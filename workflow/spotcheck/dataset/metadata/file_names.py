@@ -10,17 +10,18 @@ from spotcheck.dataset.metadata.key_values import KEYS, KIND_WORDS, parse_date
 
 # Sources of entries from names.
 FILE, FOLDER = "file name", "folder name"
-# Longest part of a name that is parsed [characters].
-LONGEST_NAME = 250
-# A number with its unit, and the word before it. Some names write 1p5 for 1.5.
+# Most characters of a name that are parsed; longer runs of digits than MOST_DIGITS are sorted as text.
+LONGEST_NAME, MOST_DIGITS = 250, 19
+# A number with its unit, perhaps with a word before it and a gap between them. Some names write 1p5 for 1.5.
 _QUANTITY = re.compile(
     rf"(?<![A-Za-z0-9.])(?:(?P<key>[^\W\d_]+)(?P<gap>\s*=\s*|[\s_-]*))?(?P<sign>[-+]?)(?P<number>\d+(?:[.,p]\d+)?)"
     rf"[\s_]?(?P<unit>(?i:{units.UNIT_PATTERN}))(?![^\W_])"
 )
-# A word and a number without a unit.
+# A word and a number without a unit, and the gap between them.
 _NUMBERED_WORD = re.compile(
     r"(?<![A-Za-z0-9.])(?P<key>[^\W\d_]+)(?P<gap>[\s_=-]*)(?P<number>\d+(?:[.,p]\d+)?)(?![^\W_])"
 )
+# The number at the end of a name, perhaps in brackets.
 _TRAILING_NUMBER = re.compile(r"(?:^|[\s_.()-])(\d{1,6})\)?$")
 # A date, perhaps with a time: 20260131, 2026-01-31_143000.
 _DATE = re.compile(
@@ -41,23 +42,27 @@ WAVELENGTHS_M = (1.5e-7, 1.2e-6)
 
 
 def parse_name(name: str, source: str = FILE) -> Iterator[MetadataEntry]:
-    """Yield the metadata in the stem of a file or the name of a folder.
+    """Yield the metadata in the stem of a file name or in the name of a folder.
 
     Parameters
     ----------
     name : the name without suffix.
     source : `FILE` or `FOLDER`; only a file has a number at its end.
     """
+    # The part of the name that is not understood so far.
     rest = name = name[:LONGEST_NAME]
+    # 1. Numbers with a unit.
     for match in _QUANTITY.finditer(name):
         if entry := _parse_quantity(match, source):
             yield entry
             rest = rest.replace(entry.text, " ", 1)
+    # 2. A date.
     if date_match := _DATE.search(rest):
         year, _, month, day, *time = date_match.groups()
         if date := parse_date(f"{year}-{month}-{day}" + (f"T{':'.join(time)}" if time[0] else "")):
             yield MetadataEntry("date", date, date_match[0], source)
             rest = rest.replace(date_match[0], " ", 1)
+    # 3. Words for the kind of frame, and words with a number.
     for word in re.findall(r"[^\W\d_]+", rest):
         if word.lower() in KIND_WORDS:
             yield MetadataEntry("kind", KIND_WORDS[word.lower()], word, source)
@@ -66,8 +71,9 @@ def parse_name(name: str, source: str = FILE) -> Iterator[MetadataEntry]:
         if entry := _parse_numbered_word(match, is_separated_end, source):
             yield entry
             rest = rest.replace(match[0], " ", 1)
-    if source == FILE and (number := _TRAILING_NUMBER.search(rest.rstrip())):
-        yield MetadataEntry("number", int(number[1]), number[1], source)
+    # 4. The running number at the end.
+    if source == FILE and (number_match := _TRAILING_NUMBER.search(rest.rstrip())):
+        yield MetadataEntry("number", int(number_match[1]), number_match[1], source)
 
 
 def parse_path(path: PurePath) -> Iterator[MetadataEntry]:
@@ -79,12 +85,15 @@ def parse_path(path: PurePath) -> Iterator[MetadataEntry]:
 
 
 def _parse_quantity(match: re.Match, source: str) -> MetadataEntry | None:
-    """Return the entry of a number with a unit; None if its unit or value has no meaning here."""
+    """Return the entry of a number with a unit, a match of `_QUANTITY`.
+
+    Returns None if unit or value has no meaning here, and an entry without a column for a quantity that is not used.
+    """
     unit, key, gap = match["unit"], (match["key"] or "").lower(), match["gap"]
     dimension = units.get_dimension(unit)
     if dimension is None:
         return None
-    # A single hyphen between a word and a number is a separator; after another separator, or without a word, a minus.
+    # A hyphen between a word and a number separates them; after another separator, or without a word, it is a minus.
     is_negative = match["sign"] == "-" or (gap is not None and len(gap) > 1 and gap.endswith("-"))
     number = ("-" if is_negative else "") + match["number"].replace("p", ".")
     value = units.convert_quantity(number, unit, dimension)
@@ -97,13 +106,18 @@ def _parse_quantity(match: re.Match, source: str) -> MetadataEntry | None:
         column = "laser.wavelength_m"
     if column is None:
         return None
+    # Without a connection between them, the word is left for the next steps of the parsing.
     belongs_to_word = key in KEYS or gap == "" or "=" in (gap or "")
     text = match[0] if belongs_to_word else match[0][match.start("number") - match.start() :]
     return MetadataEntry(column, value, text.strip(" _-"), source)
 
 
 def _parse_numbered_word(match: re.Match, is_separated_end: bool, source: str) -> MetadataEntry | None:
-    """Return the entry of a word with a number without unit; None if the number may only count files."""
+    """Return the entry of a word with a number without unit, a match of `_NUMBERED_WORD`.
+
+    Returns None if the number may only count files, as one that is separated from the word and ends the name
+    (`is_separated_end`) does. The entry of an unknown word has no column.
+    """
     key, number = match["key"].lower(), match["number"].replace("p", ".")
     if key in REPEAT_WORDS and number.isdecimal():
         return MetadataEntry("repeat", int(number), match[0], source)
@@ -118,8 +132,11 @@ def _parse_numbered_word(match: re.Match, is_separated_end: bool, source: str) -
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:
-    """Return a key that sorts 2 before 10 and ignores case."""
+    """Return a key that sorts 2 before 10 and ignores case: a pair for each run of digits or of other characters.
+
+    The first of a pair is the number, -1 for text; the second is the text, "" for a number.
+    """
     return [
-        (int(part), "") if part.isdecimal() and len(part) < 20 else (-1, part.casefold())
+        (int(part), "") if part.isdecimal() and len(part) <= MOST_DIGITS else (-1, part.casefold())
         for part in re.split(r"(\d+)", name)
     ]

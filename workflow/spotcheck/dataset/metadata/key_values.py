@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from datetime import datetime
 from itertools import islice
 from typing import Any
@@ -11,9 +12,11 @@ from xml.etree import ElementTree
 from spotcheck.dataset.metadata import units
 from spotcheck.dataset.metadata.entry import MetadataEntry
 
-# Limits per text: characters that are parsed, keys that are read, characters of an entry that a message shows.
+# Limits: characters of a text that are parsed, keys that are read from it, characters of an entry that a message shows.
 LONGEST_TEXT, MOST_KEYS, LONGEST_SHOWN = 1_000_000, 2000, 60
-# Column, and dimension or type of its values, by the known keys in the spelling of `normalize_key`.
+# Most characters of a date, and most digits of a count.
+LONGEST_DATE, MOST_DIGITS = 40, 9
+# Column and the dimension or type of its values, by known key in the spelling of `normalize_key`.
 KEYS: dict[str, tuple[str, str]] = {
     key: column_and_dimension
     for column_and_dimension, keys in {
@@ -46,11 +49,13 @@ LAYOUT = set(
 )
 # XML attributes that hold the key of an element.
 KEY_ATTRIBUTES = ("name", "key", "id")
+# A line `key = value` or `key: value`.
 _LINE = re.compile(r"([^\W\d][^=:]{0,59})[=:](.+)")
 # A unit at the end of a key: Exposure-ms, exposure_s, ZPositionUm, Exposure (ms).
 _KEY_UNIT = re.compile(
     rf"(.*?)(?:[\s_-]*[(\[]|[\s_-]|(?<=[a-z])(?=[A-Z]))((?i:{units.UNIT_PATTERN})|dn_per_e)[)\]]?",
 )
+# A date with a four-digit year first, perhaps with a time.
 _DATE = re.compile(r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)(?:[T ](\d\d:\d\d(?::\d\d(?:\.\d{1,6})?)?))?.*")
 
 
@@ -67,25 +72,28 @@ def parse_text(text: str, source: str, page: int | None = None) -> Iterator[Meta
 
 
 def _split_pairs(text: str) -> Iterable[tuple[str, Any]]:
-    """Return keys and values of a JSON, XML or line-based text."""
-    start = text.lstrip()[:1]
-    if start in ("{", "["):
-        try:
+    """Return keys and values of a JSON, XML or line-based text; values are JSON scalars or texts.
+
+    A text that is no valid JSON or XML is read as lines.
+    """
+    first_character = text.lstrip()[:1]
+    if first_character in ("{", "["):
+        with suppress(ValueError, RecursionError):
             return list(flatten_keys(json.loads(text)))
-        except (ValueError, RecursionError):
-            pass
-    # Entities can expand to more than memory holds.
-    if start == "<" and "<!DOCTYPE" not in text and "<!ENTITY" not in text:
-        try:
+    # A text that declares entities is not parsed as XML: entities can expand to more than memory holds.
+    if first_character == "<" and "<!DOCTYPE" not in text and "<!ENTITY" not in text:
+        with suppress(ElementTree.ParseError):
             return _flatten_xml(ElementTree.fromstring(text.strip()))
-        except ElementTree.ParseError:
-            pass
-    parts = (part.strip("\0# \t\r") for part in re.split(r"[\n\r;]", text))
-    return ((match[1].strip(), match[2].strip()) for part in parts if (match := _LINE.fullmatch(part)))
+    segments = (segment.strip("\0# \t\r") for segment in re.split(r"[\n\r;]", text))
+    return ((match[1].strip(), match[2].strip()) for segment in segments if (match := _LINE.fullmatch(segment)))
 
 
 def flatten_keys(content: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the keys and scalar values of nested dictionaries and lists."""
+    """Yield the keys and scalar values of nested dictionaries, and of dictionaries in lists; None is skipped.
+
+    Keys are those of the innermost dictionary. Numbers and texts in lists are dropped.
+    """
+    # A stack instead of recursion, which deep nesting would exhaust.
     stack = [("", content)]
     while stack:
         key, value = stack.pop()
@@ -98,15 +106,19 @@ def flatten_keys(content: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _flatten_xml(root: ElementTree.Element) -> Iterator[tuple[str, Any]]:
-    """Yield names and texts of elements, their attributes, and `<Property name="Exposure" value="10 ms"/>`."""
+    """Yield keys and values of all elements: name and text of each, then its attributes.
+
+    `<Property name="Exposure" value="10 ms"/>` gives the key Exposure.
+    """
     for element in root.iter():
+        # Comments and processing instructions have no tag.
         if not isinstance(element.tag, str):
             continue
         attributes = {name.rpartition("}")[2].lower(): value for name, value in element.items()}
         tag = element.tag.rpartition("}")[2]
         name = next((attributes.pop(key) for key in KEY_ATTRIBUTES if key in attributes), tag)
         text = (element.text or "").strip() or attributes.pop("value", "")
-        # <Exposure unit="ms">10</Exposure>
+        # An attribute may hold the unit: <Exposure unit="ms">10</Exposure>.
         unit = attributes.pop("unit", attributes.pop("units", ""))
         if text:
             yield name, f"{text} {unit}".strip()
@@ -127,31 +139,34 @@ def normalize_key(key: str) -> str:
 
 
 def parse_pair(key: str, value: str, source: str, page: int | None = None) -> MetadataEntry:
-    """Return the entry of one key and its value; its column is None for an unknown key."""
+    """Return the entry of one key and its value; its column is None for an unknown key.
+
+    `source` and `page` are as in `parse_text`.
+    """
     text = f"{key} = {value}".replace("\n", " ")
     text = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
-    known, unit = KEYS.get(normalize_key(key)), ""
-    if known is None and (match := _KEY_UNIT.fullmatch(key.strip())):
-        known, unit = KEYS.get(normalize_key(match[1])), match[2].replace("_per_", "/")
-    if known is None:
+    column_and_dimension, unit = KEYS.get(normalize_key(key)), ""
+    if column_and_dimension is None and (match := _KEY_UNIT.fullmatch(key.strip())):
+        column_and_dimension, unit = KEYS.get(normalize_key(match[1])), match[2].replace("_per_", "/")
+    if column_and_dimension is None:
         return MetadataEntry(None, None, text, source, page)
-    column, dimension = known
+    column, dimension = column_and_dimension
     return MetadataEntry(column, parse_value(value, unit, dimension), text, source, page)
 
 
 def parse_value(value: str, unit: str, dimension: str) -> float | int | str | None:
-    """Return the value of a column.
+    """Return the value of a column: a number in the unit of the column, a count, a kind, or a date in ISO 8601.
 
     Parameters
     ----------
     value : text of the value, perhaps with a unit.
-    unit : unit of a number that has none behind it; "" if unknown.
+    unit : unit of a number without a unit in `value`; "" if unknown.
     dimension : key of `units.UNITS`, or "kind", "date" or "count".
 
     Returns
     -------
     float, int, str or None
-        None if the text is not such a value, or a number lacks the unit that it needs.
+        None if the text is not such a value, a number lacks the unit that it needs, or a time is negative.
     """
     if dimension == "kind":
         return KIND_WORDS.get(normalize_key(value))
@@ -160,19 +175,22 @@ def parse_value(value: str, unit: str, dimension: str) -> float | int | str | No
     quantity = units.parse_quantity(value)
     if quantity is None:
         return None
-    number, own_unit = quantity
+    number, stated_unit = quantity
     if dimension == "count":
-        is_count = number.isdecimal() and len(number) < 10 and not own_unit
+        is_count = number.isdecimal() and len(number) <= MOST_DIGITS and not stated_unit
         return int(number) if is_count else None
     # ASSUME: an angle without a unit is in degrees, as no instrument shows radians.
-    unit = own_unit or unit or ("deg" if dimension == "deg" else "")
+    unit = stated_unit or unit or ("deg" if dimension == "deg" else "")
     converted = units.convert_quantity(number, unit, dimension)
     return None if dimension == "s" and converted is not None and converted < 0 else converted
 
 
 def parse_date(text: str) -> str | None:
-    """Return a date, with its time if there is one, in ISO 8601; None for any other text. Colons may separate days."""
-    match = _DATE.fullmatch(text.strip()[:40])
+    """Return a date, with its time if there is one, in ISO 8601; None for any other text.
+
+    Year, month and day may be separated by colons, as in EXIF.
+    """
+    match = _DATE.fullmatch(text.strip()[:LONGEST_DATE])
     if match is None:
         return None
     year, month, day, time = match.groups()

@@ -1,4 +1,7 @@
-"""OME-XML in a TIFF file: metadata of every plane (OME schema 2016-06, elements Pixels, Plane and TiffData)."""
+"""OME-XML in a TIFF file: metadata of every plane (OME schema 2016-06, elements Pixels, Plane and TiffData).
+
+A plane is a two-dimensional image at one focus (Z), channel (C) and time (T); it is stored as a page of a file.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,9 +13,11 @@ from spotcheck.dataset.metadata import units
 from spotcheck.dataset.metadata.entry import MetadataEntry
 from spotcheck.dataset.metadata.key_values import LONGEST_SHOWN, parse_date
 
-# Planes that are read.
-MOST_PLANES = 100_000
-# Elements and attributes that are only shown.
+# Most planes that are read, and most digits of a whole number.
+MOST_PLANES, MOST_DIGITS = 100_000, 9
+# Longest delay of a plane that is believed [s], some 30 years; much longer ones would exceed the range of dates.
+LONGEST_DELAY_S = 1e9
+# Elements and attributes that are shown to the user, but not used.
 SHOWN = (("Detector", "Gain"), ("DetectorSettings", "Gain"), ("DetectorSettings", "Offset"), ("Detector", "Model"))
 
 
@@ -24,7 +29,7 @@ def parse_ome_xml(text: str) -> Iterator[MetadataEntry]:
     xml.etree.ElementTree.ParseError
         If the text is not XML.
     ValueError
-        If it declares entities, or its planes cannot be assigned to the pages of this file.
+        If the text declares entities, or if its planes cannot be assigned to the pages of this file.
     """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise ValueError("it declares entities, which are not read")
@@ -39,13 +44,12 @@ def parse_ome_xml(text: str) -> Iterator[MetadataEntry]:
 
 
 def _parse_pixels(image: Element, pixels: Element) -> Iterator[MetadataEntry]:
-    """Yield the metadata of an element Pixels and its planes."""
+    """Yield the metadata of an element Pixels, which belongs to an element Image, and of its planes."""
     page_of_plane = _assign_pages(pixels)
     if pixels.get("SignificantBits", "").isdecimal():
         bits = pixels.get("SignificantBits", "")[:4]
-        yield MetadataEntry(
-            "sensor.bit_depth", int(bits), f"SignificantBits = {bits}", "OME-XML Pixels SignificantBits"
-        )
+        source = "OME-XML Pixels SignificantBits"
+        yield MetadataEntry("sensor.bit_depth", int(bits), f"SignificantBits = {bits}", source)
     if size := _parse_quantity(pixels, "PhysicalSizeX", "m", "µm"):
         # The size in the sample, which is the pixel pitch only at magnification 1: shown, not used.
         yield replace(size, value=None)
@@ -57,16 +61,20 @@ def _parse_pixels(image: Element, pixels: Element) -> Iterator[MetadataEntry]:
 
 
 def _parse_plane(plane: Element, page: int, date: str | None) -> Iterator[MetadataEntry]:
-    """Yield exposure time, position and date of a plane; `date` is that of the whole image."""
+    """Yield exposure time, position and date of a plane, which is a page of this file.
+
+    `date` is that of the whole image in ISO 8601; without it (None), the plane has none.
+    """
     if exposure := _parse_quantity(plane, "ExposureTime", "s", "s"):
         yield replace(exposure, column="exposure_s", page=page)
-    # Without a unit the position is in that of the stage, which the file does not give (schema: "reference frame").
+    # A position without a unit is in the unit of the stage (schema: "reference frame"), which the file does not state.
     if position := _parse_quantity(plane, "PositionZ", "m", ""):
         yield replace(position, column="z_m", page=page)
     if date is None:
         return
+    # DeltaT is the time between AcquisitionDate and the plane.
     delay = _parse_quantity(plane, "DeltaT", "s", "s")
-    if delay and isinstance(delay.value, float) and 0 <= delay.value < 1e9:
+    if delay and isinstance(delay.value, float) and 0 <= delay.value < LONGEST_DELAY_S:
         time = datetime.fromisoformat(date) + timedelta(seconds=delay.value)
         source = "OME-XML AcquisitionDate + Plane DeltaT"
         yield MetadataEntry("date", time.isoformat(), f"{date} + {delay.text}", source, page)
@@ -75,7 +83,10 @@ def _parse_plane(plane: Element, page: int, date: str | None) -> Iterator[Metada
 
 
 def _parse_quantity(element: Element, name: str, dimension: str, default_unit: str) -> MetadataEntry | None:
-    """Return a number with its unit, still without a column; its value is None if the unit is missing or unknown."""
+    """Return an attribute that is a number with a unit, as an entry without a column; None without the attribute.
+
+    `dimension` is a key of `units.UNITS`. The value of the entry is None if its unit is missing or unknown.
+    """
     text, unit = element.get(name), element.get(f"{name}Unit", default_unit)
     if text is None:
         return None
@@ -99,24 +110,25 @@ def _assign_pages(pixels: Element) -> dict[tuple[int, ...], int]:
     planes = [tuple(index[slowest_first.index(axis)] for axis in "ZCT") for index in indices]
     position_of = {plane: position for position, plane in enumerate(planes)}
     page_of: dict[tuple[int, ...], int] = {}
+    # Each element TiffData assigns a run of planes to pages (IFD); without such elements the planes are the pages.
     elements = list(_find_all(pixels, "TiffData"))
-    files = {uuid.get("FileName") for uuid in _find_all(pixels, "UUID")}
-    if len(elements) > 1 and len(files) > 1:
+    file_names = {uuid.get("FileName") for uuid in _find_all(pixels, "UUID")}
+    if len(elements) > 1 and len(file_names) > 1:
         raise ValueError("it describes planes of several files, which are not told apart")
     for element in elements:
-        first = position_of.get(tuple(_parse_integer(element, f"First{axis}") for axis in "ZCT"), 0)
-        count = _parse_integer(element, "PlaneCount", 1 if element.get("IFD") is not None else len(planes))
-        for step in range(min(count, len(planes) - first)):
-            page_of.setdefault(planes[first + step], _parse_integer(element, "IFD") + step)
+        first_position = position_of.get(tuple(_parse_integer(element, f"First{axis}") for axis in "ZCT"), 0)
+        plane_count = _parse_integer(element, "PlaneCount", 1 if element.get("IFD") is not None else len(planes))
+        for offset in range(min(plane_count, len(planes) - first_position)):
+            page_of.setdefault(planes[first_position + offset], _parse_integer(element, "IFD") + offset)
     return page_of or position_of
 
 
 def _parse_integer(element: Element, name: str, default: int = 0) -> int:
-    """Return an attribute that is a whole number of at most nine digits, or else the default."""
+    """Return an attribute that is a whole number of at most `MOST_DIGITS` digits, or else the default."""
     text = element.get(name, "")
-    return int(text) if text.isdecimal() and len(text) < 10 else default
+    return int(text) if text.isdecimal() and len(text) <= MOST_DIGITS else default
 
 
 def _find_all(element: Element, tag: str) -> Iterator[Element]:
-    """Yield the elements with a name below an element, in any version of the schema's namespace."""
+    """Yield the elements below an element whose tag is `tag`, in any version of the schema's namespace."""
     return (child for child in element.iter() if isinstance(child.tag, str) and child.tag.rpartition("}")[2] == tag)

@@ -5,9 +5,10 @@ from pathlib import Path, PurePath
 
 from spotcheck.dataset.metadata import file_names, key_values, sidecar, tags
 from spotcheck.dataset.metadata.entry import MetadataEntry
-from spotcheck.io.formats import hdf5, png, tiff
+from spotcheck.io.formats import files, hdf5, png, tiff
 
-# Signatures, name in messages, and reader of each image format with metadata; HDF5 needs the path inside the file too.
+# First bytes of a file, name in messages, and reader of each image format with metadata. HDF5 has a reader of another
+# form, which also needs the path inside the file.
 READERS: tuple[tuple[tuple[bytes, ...], str, Callable[[Path], Iterator[MetadataEntry]]], ...] = (
     (tiff.SIGNATURES, "TIFF tags", tags.read_tiff_tags),
     ((png.SIGNATURE,), "PNG texts", tags.read_png_texts),
@@ -21,7 +22,7 @@ def read_metadata(path: Path, root: Path | None = None, inner_path: str = "") ->
     ----------
     path : the image file.
     root : folder below which names of folders are parsed too; None for the file name alone.
-    inner_path : path of the frames inside an HDF5 file.
+    inner_path : path of the frames inside an HDF5 file; "" for other files and for the only frames of a file.
 
     Returns
     -------
@@ -30,11 +31,11 @@ def read_metadata(path: Path, root: Path | None = None, inner_path: str = "") ->
     """
     entries: list[MetadataEntry] = []
     with path.open("rb") as stream:
-        start = stream.read(16)
+        first_bytes = stream.read(files.SIGNATURE_BYTES)
     for signatures, source, reader in READERS:
-        if start.startswith(signatures):
+        if first_bytes.startswith(signatures):
             entries += _collect(reader(path), source)
-    if start.startswith(hdf5.SIGNATURE):
+    if first_bytes.startswith(hdf5.SIGNATURE):
         entries += _collect(_read_hdf5(path, inner_path), "HDF5")
     entries += _collect(sidecar.read_sidecars(path), "side file")
     entries += file_names.parse_path(path.relative_to(root) if root else PurePath(path.name))
@@ -42,17 +43,17 @@ def read_metadata(path: Path, root: Path | None = None, inner_path: str = "") ->
 
 
 def _read_hdf5(path: Path, inner_path: str) -> Iterator[MetadataEntry]:
-    """Yield the attributes, numbers and texts around the frames in an HDF5 file."""
+    """Yield the attributes of the frames in an HDF5 file, and the numbers and texts beside them."""
     for key, value, page in hdf5.read_metadata(path, inner_path):
         yield from key_values.parse_pairs([(key, value)], "HDF5", page)
 
 
 def _collect(entries: Iterator[MetadataEntry], source: str) -> list[MetadataEntry]:
-    """Return the entries up to the first error, and its reason."""
-    collected: list[MetadataEntry] = []
+    """Return the entries up to the first error; then an entry without a column, from `source`, gives its reason."""
+    collected_entries: list[MetadataEntry] = []
     try:
-        collected.extend(entries)
+        collected_entries.extend(entries)
     except Exception as error:  # neither tifffile, Pillow nor the XML parser documents what it raises
-        reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        collected.append(MetadataEntry(None, None, f"cannot be read ({reason})", source))
-    return collected
+        text = f"cannot be read ({files.describe_error(error)})"
+        collected_entries.append(MetadataEntry(None, None, text, source))
+    return collected_entries

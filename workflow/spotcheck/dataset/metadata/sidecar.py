@@ -1,4 +1,7 @@
-"""Metadata in sidecar files: texts with the name of an image, tables of a folder, and lists of EMVA 1288 data."""
+"""Metadata in sidecar files: texts with the name of an image, tables of a folder, and lists of EMVA 1288 data.
+
+An EMVA 1288 list describes a reference data set for the characterization of a camera: images at several light levels.
+"""
 
 import csv
 import re
@@ -18,13 +21,13 @@ TABLE_SUFFIXES = (".csv", ".tsv")
 NAME_HEADINGS = ("file", "filename", "filepath", "image", "imagename", "imagefile", "frame", "framename", "path")
 # Separators of cells.
 SEPARATORS = (",", ";", "\t")
-# Rows of a table that are read.
+# Most rows of a table that are read.
 MOST_ROWS = 100_000
-# Lines that an EMVA 1288 reference list must have: n with bits, columns and rows; b (bright) or d (dark) with
-# exposure [ns] and photons per pixel; i with a path for each of the images of that level.
+# Lines that an EMVA 1288 list must have: n with bits, columns and rows; b (bright) or d (dark) with exposure [ns] and
+# photons per pixel of a light level; i with the path of an image of the level above it.
 _EMVA_LINES = tuple(re.compile(rf"(?m)^{line}") for line in (r"n\s+\d+\s+\d+\s+\d+", r"[bd]\s+\d", r"i\s+\S"))
 
-# Entries of each image, by its file name.
+# Entries of each image, by its file name without folders.
 EntriesByImage = dict[str, tuple[MetadataEntry, ...]]
 
 
@@ -42,7 +45,7 @@ def find_tables(folder: Path) -> list[Path]:
 
 @lru_cache(maxsize=64)
 def _find_tables(folder: Path, _mtime_ns: int) -> tuple[Path, ...]:
-    """Return the tables of a folder, which are searched once for all its images."""
+    """Return the tables of a folder, found once for all its images; the time of the folder is a key of the cache."""
     paths = [path for path in folder.iterdir() if path.suffix.lower() == ".txt" or _may_be_table(path)]
     return tuple(sorted(path for path in paths if path.is_file() and _read_table(path)))
 
@@ -80,7 +83,10 @@ def _read_table(path: Path) -> EntriesByImage:
 
 @lru_cache(maxsize=32)
 def _parse_file(path: Path, size: int, _mtime_ns: int) -> EntriesByImage:
-    """Return the content of a table; size and time in the key of the cache detect a change of the file."""
+    """Return the entries of each image in a table or list of `size` bytes; empty for any other file.
+
+    Size and time of the file are keys of the cache, so that a changed file is read again.
+    """
     try:
         text = read_text(path) if size <= key_values.LONGEST_TEXT else ""
     except InputError:
@@ -91,7 +97,7 @@ def _parse_file(path: Path, size: int, _mtime_ns: int) -> EntriesByImage:
 
 
 def _may_be_table(path: Path) -> bool:
-    """Return whether a file may be a table of images; the manifest is an output, not a source."""
+    """Return whether a file may be a table of images by its name; the manifest is an output, not a source."""
     return path.suffix.lower() in TABLE_SUFFIXES and path.name != "manifest.csv"
 
 
@@ -101,19 +107,21 @@ def parse_table(text: str, source: str) -> EntriesByImage:
     Parameters
     ----------
     text : content of the table; lines that start with # are comments.
-    source : name of the file.
+    source : name of the file, the source of the entries.
 
     Returns
     -------
     dict
-        Empty if no column names images, or the text is not a table.
+        Entries by file name of the image; empty if no column names images, or the text is not a table.
     """
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if not lines:
         return {}
     try:
+        # The separator is the candidate that is most frequent in the header.
         reader = csv.DictReader(lines[: MOST_ROWS + 1], delimiter=max(SEPARATORS, key=lines[0].count))
         heading_of = {key_values.normalize_key(heading): heading for heading in reversed(reader.fieldnames or ())}
+        # Rows with surplus cells (key None) or missing ones (value None) are dropped.
         rows = [row for row in reader if None not in row and None not in row.values()]
     except csv.Error:
         return {}
@@ -137,29 +145,28 @@ def parse_table(text: str, source: str) -> EntriesByImage:
 
 
 def _parse_emva_list(text: str, source: str) -> EntriesByImage:
-    """Return the entries of each image in the list of an EMVA 1288 reference data set."""
-    by_image: EntriesByImage = {}
-    camera: tuple[MetadataEntry, ...] = ()
-    level: tuple[MetadataEntry, ...] = ()
+    """Return the entries of each image in the list of an EMVA 1288 reference data set.
+
+    Lines that are not understood are skipped. `source` is the name of the file.
+    """
+    entries_by_image: EntriesByImage = {}
+    # Entries of all images of the camera, and of those of the current light level.
+    camera_entries: tuple[MetadataEntry, ...] = ()
+    level_entries: tuple[MetadataEntry, ...] = ()
     for line in text.splitlines():
         cells = line.split()
         match cells[:1], cells[1:]:
             case ["n"], [bits, *_] if bits.isdecimal():
-                camera = (MetadataEntry("sensor.bit_depth", int(bits), line, source),)
-            case ["b"], [exposure, *photons]:
-                light = key_values.parse_value((photons or [""])[0], "s", "s")
-                level = (
-                    *_parse_emva_level("flat", exposure, line, source),
-                    MetadataEntry("photons_per_px", light, line, source),
-                )
-            case ["d"], [exposure, *_]:
-                level = _parse_emva_level("dark", exposure, line, source)
-            case ["i"], [*name]:
-                by_image[PureWindowsPath(" ".join(name)).name] = (*level, *camera)
-    return by_image
-
-
-def _parse_emva_level(kind: str, exposure_ns: str, line: str, source: str) -> tuple[MetadataEntry, ...]:
-    """Return kind and exposure time of the images of one level."""
-    exposure_s = key_values.parse_value(exposure_ns, "ns", "s")
-    return MetadataEntry("kind", kind, line, source), MetadataEntry("exposure_s", exposure_s, line, source)
+                camera_entries = (MetadataEntry("sensor.bit_depth", int(bits), line, source),)
+            case ["b" | "d" as letter], [exposure, *photons]:
+                values: dict[str, float | int | str | None] = {
+                    "kind": "flat" if letter == "b" else "dark",
+                    "exposure_s": key_values.parse_value(exposure, "ns", "s"),
+                }
+                if letter == "b":
+                    # A plain number is read as one in seconds, whose factor is 1.
+                    values["photons_per_px"] = key_values.parse_value((photons or [""])[0], "s", "s")
+                level_entries = tuple(MetadataEntry(*item, line, source) for item in values.items())
+            case ["i"], [*words]:
+                entries_by_image[PureWindowsPath(" ".join(words)).name] = (*level_entries, *camera_entries)
+    return entries_by_image

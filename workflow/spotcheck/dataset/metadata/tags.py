@@ -14,8 +14,8 @@ from spotcheck.dataset.metadata import key_values, ome
 from spotcheck.dataset.metadata.entry import MetadataEntry
 from spotcheck.io.formats import tiff
 
-# TIFF and EXIF tags: number, name and column. Those without a column are only shown: what they mean for the gain
-# depends on the camera.
+# TIFF and EXIF tags: number, name and column. Those without a column are only shown to the user: what they mean for the
+# gain depends on the camera.
 TAGS = (
     (33434, "ExposureTime", "exposure_s"),
     (36867, "DateTimeOriginal", DATE),
@@ -25,10 +25,13 @@ TAGS = (
     (34855, "ISOSpeedRatings", None),
     (41991, "GainControl", None),
 )
-EXIF = 34665
+# TIFF tags: block of EXIF tags, ImageDescription, XResolution and ResolutionUnit.
+EXIF, DESCRIPTION, X_RESOLUTION, RESOLUTION_UNIT = 34665, 270, 282, 296
+# Characters of a description within which OME-XML begins.
+OME_START = 2000
 # Metres per unit of the tag ResolutionUnit (TIFF 6.0).
 RESOLUTION_UNIT_M = {2: 0.0254, 3: 0.01}
-# Range of pixel pitches of sensors [m]: most programs write the resolution of a printer.
+# Range of pixel pitches of sensors [m]: outside it, the resolution is that of a printer, which most programs write.
 PITCHES_M = (0.5e-6, 100e-6)
 # Larger numbers in tags are rejected as misread.
 LARGEST_NUMBER = 10**6
@@ -43,11 +46,11 @@ def read_tiff_tags(path: Path) -> Iterator[MetadataEntry]:
         previous_text = ""
         for page_number, page in enumerate(directories):
             entries += _read_page_tags(page, page_number)
-            text = page.tags.valueof(270, "")
+            text = page.tags.valueof(DESCRIPTION, "")
             if not isinstance(text, str) or not text or text == previous_text:
                 continue
             previous_text = text
-            if text.lstrip().startswith("<") and "<OME" in text[:2000]:
+            if text.lstrip().startswith("<") and "<OME" in text[:OME_START]:
                 entries += ome.parse_ome_xml(text[: key_values.LONGEST_TEXT])
             elif page_number == 0 and text.startswith("ImageJ="):
                 entries += _read_imagej(file, text)
@@ -61,7 +64,7 @@ def read_tiff_tags(path: Path) -> Iterator[MetadataEntry]:
 
 
 def _read_page_tags(page: tifffile.TiffPage, page_number: int) -> Iterator[MetadataEntry]:
-    """Yield the metadata in the tags and the EXIF block of a page."""
+    """Yield the metadata in the tags and the EXIF block of a page, and the pixel pitch of its resolution."""
     exif = page.tags.valueof(EXIF, {})
     exif = exif if isinstance(exif, dict) else {}
     for code, name, column in TAGS:
@@ -71,7 +74,10 @@ def _read_page_tags(page: tifffile.TiffPage, page_number: int) -> Iterator[Metad
 
 
 def _convert_tag(value: Any, source: str, name: str, column: str | None, page: int | None) -> Iterator[MetadataEntry]:
-    """Yield the entry of a tag that is present: EXIF stores times as fractions of seconds, and dates as texts."""
+    """Yield the entry of one of `TAGS`; none for the value None of a missing tag.
+
+    EXIF stores times as fractions of seconds, and dates as texts. `source` is where the tag was found.
+    """
     if value is None:
         return
     text = str(value).strip("\0 ")
@@ -87,7 +93,10 @@ def _convert_tag(value: Any, source: str, name: str, column: str | None, page: i
 
 
 def _convert_ratio(value: Any) -> float | None:
-    """Return a positive number, stored as one or as numerator and denominator; None for any other value."""
+    """Return a positive number below `LARGEST_NUMBER`, stored as a number or as a pair (numerator, denominator).
+
+    Returns None for any other value.
+    """
     if isinstance(value, str | bytes):
         return None
     try:
@@ -98,8 +107,10 @@ def _convert_ratio(value: Any) -> float | None:
 
 
 def _read_resolution(page: tifffile.TiffPage, page_number: int) -> Iterator[MetadataEntry]:
-    """Yield the pixel pitch that the resolution tags give, if a sensor may have it."""
-    pixels_per_unit, unit = _convert_ratio(page.tags.valueof(282)), page.tags.valueof(296, 2)
+    """Yield the pixel pitch of the resolution tags, if it is one of a sensor, as an entry that is only shown."""
+    # The unit is the inch (2) unless another one is stated (TIFF 6.0).
+    pixels_per_unit = _convert_ratio(page.tags.valueof(X_RESOLUTION))
+    unit = page.tags.valueof(RESOLUTION_UNIT, 2)
     if pixels_per_unit and isinstance(unit, int) and unit in RESOLUTION_UNIT_M:
         pitch_m = RESOLUTION_UNIT_M[unit] / pixels_per_unit
         if PITCHES_M[0] <= pitch_m <= PITCHES_M[1]:

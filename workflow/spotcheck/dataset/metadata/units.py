@@ -3,8 +3,8 @@
 import re
 from decimal import Decimal, InvalidOperation
 
-# Factor from each unit to the unit of our columns, by dimension. The micro sign has two code points in Unicode:
-# the sign itself (\u00b5) and the Greek letter (\u03bc).
+# Factor from each unit to the unit of manifest columns, by dimension. Factors are decimal texts, for exact arithmetic.
+# The micro sign has two code points in Unicode: the sign itself (\u00b5) and the Greek letter (\u03bc).
 UNITS: dict[str, dict[str, str]] = {
     dimension: {unit: factor for factor, names in factors.items() for unit in names.split()}
     for dimension, factors in {
@@ -27,16 +27,16 @@ UNITS: dict[str, dict[str, str]] = {
         "dn_per_e": {"1": "dn/e dn/e- adu/e-"},
     }.items()
 }
-# Alternatives of regular expressions: any unit, the longest first, and any decimal number.
+# Regular expressions of any unit, with the longest alternatives first, and of any decimal number.
 UNIT_PATTERN = "|".join(
     sorted((re.escape(unit) for factors in UNITS.values() for unit in factors), key=len, reverse=True)
 )
 NUMBER_PATTERN = r"[-+]?(?:\d+(?:[.,]\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+# A number or fraction, perhaps with a unit, which may stand in brackets.
 _QUANTITY = re.compile(rf"\s*({NUMBER_PATTERN})(?:\s*/\s*(\d+))?\s*[\[(]?([^\W\d_]*|°|DN/e-?|ADU/e-)[\])]?\s*")
-# Longest text that is read as a number with a unit [characters].
-_LONGEST = 60
-# Converted numbers of this size or more are rejected as misread.
-_LARGEST = 1e12
+# Longest text that is read as a number with a unit [characters], and size from which converted numbers are rejected as
+# misread.
+_LONGEST_QUANTITY, _LARGEST_VALUE = 60, 1e12
 
 
 def get_dimension(unit: str) -> str | None:
@@ -45,32 +45,35 @@ def get_dimension(unit: str) -> str | None:
 
 
 def convert_quantity(number: str, unit: str, dimension: str) -> float | None:
-    """Return a number in the unit of our columns.
+    """Return a number in the unit of manifest columns.
 
     Decimal arithmetic makes 100 µs exactly 1e-4 s, not the binary fraction next to it.
 
     Parameters
     ----------
-    number : decimal number, with a point or a comma.
+    number : text of a decimal number, with a point or a comma.
     unit : unit of the number.
     dimension : key of `UNITS`, which is also the unit of the result.
 
     Returns
     -------
     float or None
-        None if the unit does not belong to the dimension, or the text is not a number below 1e12.
+        None if the unit does not belong to the dimension, or if the text is not a number below 1e12.
     """
     factor = UNITS[dimension].get(unit) or UNITS[dimension].get(unit.lower())
     try:
         value = float(Decimal(number.replace(",", ".")) * Decimal(factor)) if factor else None
     except (InvalidOperation, OverflowError, ValueError):
         return None
-    return value if value is not None and abs(value) < _LARGEST else None
+    return value if value is not None and abs(value) < _LARGEST_VALUE else None
 
 
 def parse_quantity(text: str) -> tuple[str, str] | None:
-    """Return number and unit ("" if absent) of a text such as `1.5 ms`, `1/200 s` or `3`; None for any other text."""
-    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST else None
+    """Return number and unit, as texts, of a text such as `1.5 ms`, `1/200 s` or `3`; None for any other text.
+
+    The unit is "" if it is absent, and may be unknown.
+    """
+    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST_QUANTITY else None
     if match is None:
         return None
     number, denominator, unit = match.groups()

@@ -1,6 +1,7 @@
 """The user's answers about a folder of images (`--set KEY=VALUE`), and the metadata of a frame after these answers.
 
-An answer is a value, the unit of numbers that have none, or the source that is right where two sources disagree.
+KEY is a column of manifest.csv or a key of instrument.yaml. An answer is its value, the unit of numbers that have none,
+or the source that is right if two sources disagree. A source has the form of `MetadataEntry.source_pattern`.
 """
 
 import re
@@ -16,7 +17,7 @@ from spotcheck.dataset.scan.folder_scan import FolderScan, ScannedFrame
 from spotcheck.errors import InputError
 from spotcheck.io.schema import find_violation
 
-# Keys that select a colour plane.
+# Keys that select a colour plane; their answers are checked by the schema alone.
 COLOUR_KEYS = ("sensor.channel", "sensor.bayer")
 # Description of valid answers, by column or dimension.
 EXPECTED_ANSWERS = {
@@ -31,22 +32,26 @@ EXPECTED_ANSWERS = {
 def resolve_frame(
     frame: ScannedFrame, answers: Mapping[str, str]
 ) -> tuple[dict[str, MetadataEntry], dict[str, tuple[MetadataEntry, MetadataEntry]]]:
-    """Return the metadata of a frame on which its sources and the user agree, and the remaining conflicts.
+    """Return the metadata of a frame on which its sources agree, after the user's answers, and remaining conflicts.
 
     Parameters
     ----------
-    frame : the frame.
-    answers : the user's answers by column or key; see `check_answers`.
+    frame : frame with the metadata of all sources.
+    answers : valid answers (see `check_answers`) by column or key.
 
     Returns
     -------
-    agreed, conflicts : as in `resolve_entries`.
+    agreed : dict
+        One entry for each column on which all sources agree, or for which the user gives the value or the source.
+    conflicts : dict
+        Two contradicting entries for each other column.
     """
     entries = list[MetadataEntry]()
     for column, candidates in group_by_column(frame.metadata).items():
         answer = answers.get(column, "")
-        valued = [entry for entry in candidates if entry.value is not None] or _apply_unit(candidates, answer)
-        entries += [entry for entry in valued if entry.source_pattern == answer] or valued
+        # The answer is used as a unit only if no source gives a value, and as a source only if it is one.
+        with_value = [entry for entry in candidates if entry.value is not None] or _apply_unit(candidates, answer)
+        entries += [entry for entry in with_value if entry.source_pattern == answer] or with_value
     agreed, conflicts = resolve_entries(entries, frame.page)
     for column, answer in answers.items():
         value = _parse_answer(column, answer)
@@ -58,6 +63,11 @@ def resolve_frame(
 
 def check_answers(scan: FolderScan, answers: Mapping[str, str]) -> None:
     """Check that each answer is a value, a unit or a source.
+
+    Parameters
+    ----------
+    scan : frames and metadata of the folder, which give the sources.
+    answers : answers by column or key.
 
     Raises
     ------
@@ -73,23 +83,29 @@ def check_answers(scan: FolderScan, answers: Mapping[str, str]) -> None:
             expected = EXPECTED_ANSWERS.get(dimension or column, "a number")
             listed = f", or which source is right: {', '.join(sorted(sources))}" if sources else ""
             raise InputError(f"--set {column}={answer}: must be {expected}{listed}")
-        if breach := find_schema_breach(column, value):
-            raise InputError(f"--set {column}={answer}: {breach}")
+        if violation := find_schema_violation(column, value):
+            raise InputError(f"--set {column}={answer}: {violation}")
 
 
-def find_schema_breach(column: str, value: float | int | str | None) -> str | None:
-    """Return what is wrong with the value of a key of instrument.yaml; None if it is valid, and for columns."""
+def find_schema_violation(column: str, value: float | int | str | None) -> str | None:
+    """Return what is wrong with the value of a key of instrument.yaml such as "sensor.bit_depth".
+
+    Returns None if the value is valid or None, and for columns of the manifest.
+    """
     section, dot, key = column.partition(".")
     return find_violation({section: {key: value}}, "instrument") if dot and value is not None else None
 
 
 def get_column_dimension(column: str) -> str | None:
-    """Return the dimension (s, m or deg) of a column or key; None if users write it without a unit."""
+    """Return the dimension (s, m or deg, as in `units.UNITS`) of a column or key; None if its values have no unit."""
     return units.get_dimension(get_column_unit(column))
 
 
 def _parse_answer(column: str, answer: str) -> float | int | str | None:
-    """Return the value that an answer gives for a column; None if the answer is a unit or a source."""
+    """Return the value that an answer gives for a column, in the unit of the column.
+
+    Returns None for an answer that is a unit, a source or invalid.
+    """
     if column == "kind":
         return answer if answer in KINDS else None
     if column == DATE:
@@ -108,11 +124,15 @@ def _parse_answer(column: str, answer: str) -> float | int | str | None:
 
 
 def _apply_unit(entries: list[MetadataEntry], unit: str) -> list[MetadataEntry]:
-    """Return the entries whose text ends in a number, with its value in a unit; none if the unit does not fit."""
-    converted = []
+    """Return the entries whose text ends in a number, with the value of the number in `unit`.
+
+    Returns no entry if `unit` is not a unit of their column.
+    """
+    converted_entries = []
     for entry in entries:
         dimension, number = get_column_dimension(entry.column or ""), re.search(rf"{units.NUMBER_PATTERN}$", entry.text)
         if dimension and number:
+            # A hyphen before the number is a separator, as in names of files.
             value = units.convert_quantity(number[0].lstrip("-_"), unit, dimension)
-            converted += [replace(entry, value=value)] if value is not None else []
-    return converted
+            converted_entries += [replace(entry, value=value)] if value is not None else []
+    return converted_entries

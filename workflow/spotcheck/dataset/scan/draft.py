@@ -1,4 +1,7 @@
-"""Draft of the manifest and of the known keys of instrument.yaml for a folder of images."""
+"""Draft of the manifest and of the known keys of instrument.yaml for a folder of images.
+
+A condition is a combination of kind, angle, exposure time, position and light; frames of one condition are repeats.
+"""
 
 import re
 from collections import Counter
@@ -6,21 +9,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from spotcheck.dataset.manifest import DATE, PHOTONS, REQUIRED_COLUMNS
+from spotcheck.dataset.manifest import DATE, KINDS, PHOTONS, REQUIRED_COLUMNS
 from spotcheck.dataset.metadata.entry import MetadataEntry
-from spotcheck.dataset.scan.answers import find_schema_breach, resolve_frame
+from spotcheck.dataset.scan.answers import find_schema_violation, resolve_frame
 from spotcheck.dataset.scan.folder_scan import FolderScan, ScannedFrame
 
-# Position along the beam: a condition if it takes more than one value.
+# Column of the position along the beam, which is declared as an axis of the experiment if it has more than one value.
 POSITION = "z_m"
 # Columns that metadata may fill, in the order of the manifest.
 METADATA_COLUMNS = ("kind", "angle_deg", "exposure_s", "repeat", POSITION, PHOTONS, DATE)
 # Columns that define a condition; repeats are counted within one.
 CONDITION_COLUMNS = ("kind", "angle_deg", "exposure_s", POSITION, PHOTONS)
-# Sources of values that no file gives.
+# Sources of kinds and of repeats that no file gives.
 ASSUMED, COUNTED = "assumed: nothing says dark or flat", "counted within each condition"
 
-# Metadata of a frame by column, after conflicts are resolved.
+# Metadata of a frame by column or key, without conflicting entries.
 FrameMetadata = Mapping[str, MetadataEntry]
 
 
@@ -51,7 +54,7 @@ class ManifestDraft:
     rows: tuple[dict[str, str], ...]  # cells of each frame, by column
     provenance: dict[str, Counter[tuple[str, str]]]  # number of values by (source, example text), for each column
     instrument_keys: dict[str, MetadataEntry]  # keys of instrument.yaml on which all frames agree
-    conditions: tuple[str, ...]  # columns that are axes of the experiment
+    conditions: tuple[str, ...]  # columns that instrument.yaml declares as axes of the experiment
     is_order_known: bool  # whether the rows are in the order of acquisition
     conflicts: tuple[Conflict, ...]  # columns left blank in some frames because sources disagree
     missing: dict[str, tuple[str, ...]]  # files of the frames without a value, by column
@@ -71,17 +74,19 @@ def draft_manifest(scan: FolderScan, answers: Mapping[str, str]) -> ManifestDraf
     scan : frames and metadata of the folder; at least one frame.
     answers : the user's answers by column or key; see `answers.check_answers`.
     """
-    resolved = [resolve_frame(frame, answers) for frame in scan.frames]
-    order, is_order_known = _order_frames(scan.frames, [agreed for agreed, _ in resolved])
+    # Metadata and conflicts of each frame, in the order of the scan.
+    resolved_frames = [resolve_frame(frame, answers) for frame in scan.frames]
+    order, is_order_known = _order_frames(scan.frames, [agreed for agreed, _ in resolved_frames])
     frames = tuple(scan.frames[index] for index in order)
-    metadata = [_drop_meaningless(resolved[index][0]) for index in order]
+    metadata = [_drop_meaningless(resolved_frames[index][0]) for index in order]
     rows = [_draft_row(frame, entries) for frame, entries in zip(frames, metadata, strict=True)]
     repeats, repeat_column = _number_repeats(rows, metadata)
     for row, repeat in zip(rows, repeats, strict=True):
         row["repeat"] = str(repeat)
-    available = {column for entries in metadata for column in entries}
+    available_columns = {column for entries in metadata for column in entries}
+    # A date in some frames only is of no use.
     if not all(DATE in entries for entries in metadata):
-        available.discard(DATE)
+        available_columns.discard(DATE)
     missing = {column: _find_missing(column, rows) for column in ("exposure_s", "angle_deg", POSITION)}
     positions = {row[POSITION] for row in rows if row["kind"] == "spot"}
     return ManifestDraft(
@@ -89,14 +94,14 @@ def draft_manifest(scan: FolderScan, answers: Mapping[str, str]) -> ManifestDraf
         columns=(
             *REQUIRED_COLUMNS,
             *(["page"] if any(frame.page for frame in frames) else []),
-            *(column for column in METADATA_COLUMNS if column in available and column not in REQUIRED_COLUMNS),
+            *(column for column in METADATA_COLUMNS if column in available_columns - set(REQUIRED_COLUMNS)),
         ),
         rows=tuple(rows),
         provenance=_collect_provenance(metadata, repeat_column),
         instrument_keys=_collect_instrument_keys(frames, metadata),
         conditions=(POSITION,) if len(positions) > 1 and not missing[POSITION] else (),
         is_order_known=is_order_known,
-        conflicts=_collect_conflicts(conflicts for _, conflicts in resolved),
+        conflicts=_collect_conflicts(conflicts for _, conflicts in resolved_frames),
         missing=missing,
         unused=_collect_unused(frames, metadata),
     )
@@ -105,9 +110,11 @@ def draft_manifest(scan: FolderScan, answers: Mapping[str, str]) -> ManifestDraf
 def _order_frames(frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetadata]) -> tuple[list[int], bool]:
     """Return the indices of the frames in the order of the rows, and whether that is the order of acquisition.
 
-    The order of acquisition is that of the times, of a unique running number, or of the pages of a single stack.
+    The order of acquisition is that of the times, of a unique running number, or of the pages of a single stack. If it
+    is not known, the frames keep their order.
     """
     indices = list(range(len(frames)))
+    # ISO 8601 with a time has a T, and sorts as text.
     dates = [str(entries[DATE].value) if DATE in entries else "" for entries in metadata]
     # Cameras may write the time of a whole series into all its frames.
     if all("T" in date for date in dates) and len(set(dates)) > len(dates) / 2:
@@ -119,30 +126,33 @@ def _order_frames(frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetada
 
 
 def _collect_integers(column: str, metadata: Sequence[FrameMetadata]) -> list[int]:
-    """Return the integers of a column; fewer than frames if some have none."""
+    """Return the integer values of a column, in the order of the frames; frames without one are skipped."""
     values = (entries[column].value for entries in metadata if column in entries)
     return [value for value in values if isinstance(value, int)]
 
 
 def _drop_meaningless(entries: dict[str, MetadataEntry]) -> dict[str, MetadataEntry]:
-    """Return the metadata without angles of darks and flats, and without exposure times of zero of spots."""
-    kept = dict(entries)
-    if "kind" in kept and kept["kind"].value != "spot":
-        kept.pop("angle_deg", None)
-    elif "exposure_s" in kept and not kept["exposure_s"].value:
-        del kept["exposure_s"]
-    return kept
+    """Return the metadata without the angle of a dark or flat, and without an exposure time of zero of a spot."""
+    meaningful = dict(entries)
+    if "kind" in meaningful and meaningful["kind"].value != "spot":
+        meaningful.pop("angle_deg", None)
+    elif "exposure_s" in meaningful and not meaningful["exposure_s"].value:
+        del meaningful["exposure_s"]
+    return meaningful
 
 
 def _draft_row(frame: ScannedFrame, entries: FrameMetadata) -> dict[str, str]:
-    """Return the cells of a frame; numbers in the shortest form that reads back as the same value."""
+    """Return the cells of a frame by column: "" if unknown, the kind spot if no kind is known.
+
+    Numbers are written in the shortest form that reads back as the same value.
+    """
     row = {column: str(entries[column].value) if column in entries else "" for column in METADATA_COLUMNS}
     return row | {"kind": row["kind"] or "spot", "file": frame.file, "page": str(frame.page)}
 
 
 def _find_missing(column: str, rows: Sequence[Mapping[str, str]]) -> tuple[str, ...]:
-    """Return the files of the frames without a value: of all kinds for the exposure time, else of spots."""
-    kinds = ("spot", "dark", "flat") if column == "exposure_s" else ("spot",)
+    """Return the files of the frames without a value: of all kinds for the exposure time, only of spots otherwise."""
+    kinds = KINDS if column == "exposure_s" else ("spot",)
     return tuple(row["file"] for row in rows if row[column] == "" and row["kind"] in kinds)
 
 
@@ -151,19 +161,21 @@ def _number_repeats(
 ) -> tuple[list[int], str | None]:
     """Return the repeat of each frame within its condition, and the column of metadata that gives it.
 
-    The column is None if no metadata is unique within each condition; the frames are then counted.
+    The column is "repeat", or "number" for the number at the end of file names. It is None if neither is unique within
+    each condition; the frames of a condition are then counted from 0.
     """
+    # Indices of the frames of each condition.
     groups: dict[tuple[str, ...], list[int]] = {}
     for index, row in enumerate(rows):
         groups.setdefault(tuple(row[column] for column in CONDITION_COLUMNS), []).append(index)
-    largest = max(map(len, groups.values()))
+    largest_group = max(map(len, groups.values()))
     for column in ("repeat", "number"):
         numbers = _collect_integers(column, metadata)
         is_unique = len(numbers) == len(rows) and all(
             len({numbers[index] for index in group}) == len(group) for group in groups.values()
         )
         # A running number gives the repeat only if it starts anew in each condition.
-        if is_unique and (column == "repeat" or len(set(numbers)) <= largest):
+        if is_unique and (column == "repeat" or len(set(numbers)) <= largest_group):
             first = 0 if column == "repeat" else min(numbers)
             return [number - first for number in numbers], column
     repeat_of = {index: repeat for group in groups.values() for repeat, index in enumerate(group)}
@@ -173,15 +185,18 @@ def _number_repeats(
 def _collect_provenance(
     metadata: Sequence[FrameMetadata], repeat_column: str | None
 ) -> dict[str, Counter[tuple[str, str]]]:
-    """Return how many values of each column come from which source, with the text of its first value."""
+    """Return for each column the number of values by source, with the text of the first value of that source.
+
+    `repeat_column` is that of `_number_repeats`.
+    """
     defaults = {"kind": MetadataEntry("kind", "spot", "", ASSUMED), "repeat": MetadataEntry("repeat", 0, "", COUNTED)}
     first_texts: dict[tuple[str, str], str] = {}
     provenance: dict[str, Counter[tuple[str, str]]] = {}
     for entries in metadata:
-        used = defaults | {column: entry for column, entry in entries.items() if column not in ("repeat", "number")}
+        entry_of = defaults | {column: entry for column, entry in entries.items() if column not in ("repeat", "number")}
         if repeat_column:
-            used["repeat"] = entries[repeat_column]
-        for column, entry in used.items():
+            entry_of["repeat"] = entries[repeat_column]
+        for column, entry in entry_of.items():
             text = first_texts.setdefault((column, entry.source_pattern), entry.text)
             provenance.setdefault(column, Counter())[entry.source_pattern, text] += 1
     return provenance
@@ -190,7 +205,7 @@ def _collect_provenance(
 def _collect_instrument_keys(
     frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetadata]
 ) -> dict[str, MetadataEntry]:
-    """Return the valid keys of instrument.yaml to which all frames that have them give the same value."""
+    """Return the valid keys of instrument.yaml on whose value all frames that have them agree, with the first entry."""
     container_bits = min(frame.bits for frame in frames)
     keys: dict[str, MetadataEntry] = {}
     for key in sorted({column for entries in metadata for column in entries if "." in column}):
@@ -198,7 +213,7 @@ def _collect_instrument_keys(
         value = candidates[0].value
         is_too_deep = key == "sensor.bit_depth" and isinstance(value, int) and value > container_bits
         is_unanimous = len({entry.value for entry in candidates}) == 1
-        if is_unanimous and not is_too_deep and not find_schema_breach(key, value):
+        if is_unanimous and not is_too_deep and not find_schema_violation(key, value):
             keys[key] = candidates[0]
     return keys
 
@@ -206,23 +221,27 @@ def _collect_instrument_keys(
 def _collect_conflicts(
     conflicts_by_frame: Iterable[Mapping[str, tuple[MetadataEntry, MetadataEntry]]],
 ) -> tuple[Conflict, ...]:
-    """Return the conflicts of all frames, one for each column and pair of sources."""
-    collected: dict[tuple[str, str, str], Conflict] = {}
+    """Return the conflicts of all frames, one for each column and pair of sources, with the number of its frames."""
+    conflict_of: dict[tuple[str, str, str], Conflict] = {}
     for conflicts in conflicts_by_frame:
         for column, (first, second) in conflicts.items():
             key = column, first.source_pattern, second.source_pattern
-            earlier = collected.get(key, Conflict(column, first, second, 0))
-            collected[key] = earlier._replace(frames=earlier.frames + 1)
-    return tuple(collected.values())
+            earlier = conflict_of.get(key, Conflict(column, first, second, 0))
+            conflict_of[key] = earlier._replace(frames=earlier.frames + 1)
+    return tuple(conflict_of.values())
 
 
 def _collect_unused(frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetadata]) -> tuple[UnusedMetadata, ...]:
-    """Return metadata without a column or a unit that the rows do not use, the most frequent first."""
-    collected: dict[tuple[str, str], UnusedMetadata] = {}
+    """Return the metadata without a column or unit that the rows do not use, the most frequent first.
+
+    `metadata` is that of the rows, while `frames` have the entries of all sources.
+    """
+    unused_of: dict[tuple[str, str], UnusedMetadata] = {}
     for frame, entries in zip(frames, metadata, strict=True):
         for entry in frame.metadata:
             if entry.value is None and (entry.column is None or entry.column not in entries):
+                # Texts that differ only in their numbers have the same key.
                 key = re.sub(r"\d+", "0", entry.text), entry.source_pattern
-                first = collected.get(key, UnusedMetadata(entry.column, entry.text, entry.source_pattern, 0))
-                collected[key] = first._replace(frames=first.frames + 1)
-    return tuple(sorted(collected.values(), key=lambda unused: -unused.frames))
+                first = unused_of.get(key, UnusedMetadata(entry.column, entry.text, entry.source_pattern, 0))
+                unused_of[key] = first._replace(frames=first.frames + 1)
+    return tuple(sorted(unused_of.values(), key=lambda unused: -unused.frames))

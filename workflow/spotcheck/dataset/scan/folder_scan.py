@@ -21,7 +21,7 @@ from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 class ScannedFrame:
     """One frame of a folder of images."""
 
-    file: str  # path relative to the folder
+    file: str  # path relative to the folder, perhaps with a path inside an HDF5 file behind #
     page: int  # page of the file, from 0
     shape: tuple[int, int]  # rows and columns [px]
     bits: int  # bits of a stored pixel
@@ -37,20 +37,20 @@ class FolderScan(NamedTuple):
 
 
 def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
-    """Return the frames and metadata of a folder of images.
+    """Return the frames and metadata of a folder of images. Images that cannot be read are listed as errors.
 
     Parameters
     ----------
-    folder : folder whose frames/, or else the whole tree below it, is searched for images.
-    colour : colour plane to take from images with colours.
+    folder : folder whose frames/ is searched for images, or the whole tree below it if frames/ has none.
+    colour : colour plane to read from images with colours.
 
     Raises
     ------
     InputError
         If the name of an image contains characters that cannot be printed.
     """
-    visible = [path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder))]
-    images = _select_images(folder, visible)
+    visible_files = [path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder))]
+    images = _select_images(folder, visible_files)
     frames, errors, read_files = list[ScannedFrame](), list[str](), set(images)
     for image in images:
         name = image.relative_to(folder).as_posix()
@@ -62,42 +62,46 @@ def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
             errors.append(str(error))
             continue
         read_files.update(sidecar.find_sidecars(image))
+        # Tables are searched in the folder of an image and in its parent.
         for parent in image.parents[:2]:
             read_files.update(sidecar.find_tables(parent))
-    unread_files = sorted(path.relative_to(folder).as_posix() for path in visible if path not in read_files)
+    unread_files = sorted(path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
     return FolderScan(_restore_signs(frames), tuple(unread_files), tuple(errors))
 
 
-def _select_images(folder: Path, visible: list[Path]) -> list[Path]:
-    """Return the images in frames/, or else below the folder, in natural order."""
-    images = [path for path in visible if path.suffix.lower() in IMAGE_SUFFIXES]
-    # A manifest names no file outside its folder, so links that lead out are left out.
+def _select_images(folder: Path, visible_files: list[Path]) -> list[Path]:
+    """Return the images in frames/, or all images below the folder if frames/ has none, in natural order."""
+    images = [path for path in visible_files if path.suffix.lower() in IMAGE_SUFFIXES]
+    # A manifest names no file outside its folder, so links to such files are dropped.
     images = [path for path in images if path.resolve().is_relative_to(folder.resolve())]
     images = [path for path in images if (folder / "frames") in path.parents] or images
     return sorted(images, key=lambda path: natural_sort_key(path.relative_to(folder).as_posix()))
 
 
 def _scan_image(image: Path, folder: Path, colour: Colour) -> Iterator[ScannedFrame]:
-    """Return the frames of all stacks in an image file. Raises `InputError` if one of them cannot be read."""
+    """Yield the frames of all stacks in an image file, without previews. Raises `InputError` if one is unreadable."""
     stacks = files.list_stacks(image, image.relative_to(folder).as_posix())
+    # The headers of all stacks are read first, so that a file with an unreadable stack gives no frame.
     pages_by_stack = {stack: files.list_pages(folder / stack, stack, colour) for stack in stacks}
     for stack, pages in pages_by_stack.items():
         entries = read_metadata(image, folder, split_inner_path(stack)[1])
-        for number, page in enumerate(pages):
+        for page_number, page in enumerate(pages):
             if not page.preview:
-                page_entries = tuple(entry for entry in entries if entry.page in (None, number))
-                yield ScannedFrame(stack, number, page.shape, page.bits, page_entries)
+                page_entries = tuple(entry for entry in entries if entry.page in (None, page_number))
+                yield ScannedFrame(stack, page_number, page.shape, page.bits, page_entries)
 
 
 def _restore_signs(frames: list[ScannedFrame]) -> tuple[ScannedFrame, ...]:
-    """Return the frames with hyphens in names read as minus signs if other names show the same word without one.
+    """Return the frames with a hyphen before a number read as minus if another name has that word without a hyphen.
 
     `z-5mm` is -5 mm beside `z+5mm` or `z0mm`, and otherwise 5 mm.
     """
     texts = {entry.text for frame in frames for entry in frame.metadata if entry.source in (FILE, FOLDER)}
+    # Words directly followed by a number or a plus: a hyphen behind them is no separator.
     signed_words = {match[1] for text in texts if (match := re.match(r"([^\W\d_]+)\+?\d", text))}
 
     def restore_sign(entry: MetadataEntry) -> MetadataEntry:
+        """Return the entry with a negative number if its text has one of `signed_words` and a hyphen."""
         match = re.match(r"([^\W\d_]+)-\d", entry.text)
         is_negative = match is not None and match[1] in signed_words and entry.source in (FILE, FOLDER)
         return replace(entry, value=-entry.value) if is_negative and isinstance(entry.value, float) else entry

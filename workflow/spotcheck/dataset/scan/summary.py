@@ -8,22 +8,23 @@ from spotcheck.dataset.scan.answers import get_column_dimension
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, Conflict, ManifestDraft, UnusedMetadata
 from spotcheck.dataset.scan.folder_scan import FolderScan
 
-# Different values that a line lists, and examples of a longer list.
+# Most different values that a line lists, and most examples of a longer list.
 MOST_VALUES, MOST_EXAMPLES = 6, 5
 
 
 def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterator[str]:
-    """Yield lines on the frames of a folder, the values and sources of each column, and what is not used.
+    """Yield lines on the frames of a folder, the values and sources of each column, and unused files and metadata.
 
     Parameters
     ----------
     name : name of the folder.
-    scan : its frames and metadata.
-    draft : the draft of its manifest.
+    scan : frames and metadata of the folder.
+    draft : draft of its manifest.
     """
-    files = len({frame.file for frame in draft.frames})
+    file_count = len({frame.file for frame in draft.frames})
+    # Number of frames by size and bit depth.
     formats = Counter((frame.shape, frame.bits) for frame in draft.frames)
-    yield f"{name}: {len(draft.frames)} frames in {files} file{'s' if files > 1 else ''}, " + ", ".join(
+    yield f"{name}: {len(draft.frames)} frames in {file_count} file{'s' if file_count > 1 else ''}, " + ", ".join(
         f"{shape[1]} × {shape[0]} px of {bits} bit{f' ({count})' if len(formats) > 1 else ''}"
         for (shape, bits), count in formats.most_common(MOST_EXAMPLES)
     )
@@ -37,18 +38,19 @@ def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterato
     yield from scan.errors
     if scan.unread_files:
         yield f"Not read: {_join_examples(scan.unread_files)}"
-    if unknown := [_format_unused(unused) for unused in draft.unused if unused.column is None]:
-        yield f"Not understood: {_join_examples(unknown)}"
+    if unknown_texts := [_format_unused(unused) for unused in draft.unused if unused.column is None]:
+        yield f"Not understood: {_join_examples(unknown_texts)}"
 
 
 def _format_table(draft: ManifestDraft) -> Iterator[str]:
-    """Yield a line with values and sources for each column and key."""
+    """Yield the lines of a table with the values and sources of each column and key, after a line of headings."""
     lines = [("column", "values", "from")]
     for column in METADATA_COLUMNS:
+        # Only spots have an angle.
         if (column in draft.columns or column in draft.provenance) and (column != "angle_deg" or draft.has_spots):
             values = _summarize_values([row[column] for row in draft.rows if row[column] != ""])
             sources = draft.provenance.get(column, Counter()).most_common(MOST_EXAMPLES)
-            lines.append((column, values, "; ".join(_format_source(*source) for source in sources)))
+            lines.append((column, values, "; ".join(_format_source(source, count) for source, count in sources)))
     for key, entry in draft.instrument_keys.items():
         value = f"{entry.value:g}" if isinstance(entry.value, float) else str(entry.value)
         lines.append((key, value, f"{entry.source} ({entry.text})"))
@@ -58,13 +60,13 @@ def _format_table(draft: ManifestDraft) -> Iterator[str]:
 
 
 def _format_source(source_and_example: tuple[str, str], count: int) -> str:
-    """Return a source with the text of its first value."""
+    """Return a source with the text of its first value, which is "" for assumed values; `count` values are from it."""
     source, example = source_and_example
     return f"{source} ({example}{', …' if count > 1 else ''})" if example else source
 
 
 def _summarize_values(values: Sequence[str]) -> str:
-    """Return the values of a column if they are few, or else their number and range."""
+    """Return the values of a column (numbers, or words with their counts) if they are few, else number and range."""
     counts = Counter(values)
     if not counts:
         return "not found"
@@ -79,7 +81,7 @@ def _summarize_values(values: Sequence[str]) -> str:
 
 
 def _format_conflict(conflict: Conflict) -> str:
-    """Return the message on two sources that disagree."""
+    """Return the message on two sources that disagree, with the answers that resolve it."""
     column, first, second, frames = conflict
     return (
         f"{column}: {first}, but {second}{f' ({frames} frames)' if frames > 1 else ''}; left blank: say which is right"
@@ -94,17 +96,18 @@ def _list_gaps(draft: ManifestDraft) -> Iterator[str]:
             yield f"{column}: not found for {len(files)} of {len(draft.rows)} frames ({_join_examples(files)})"
     for unused in draft.unused:
         if unused.column:
-            unit = {"s": "ms", "m": "mm"}.get(get_column_dimension(unused.column) or "")
-            advice = f"; give it by --set {unused.column}={unit}" if unit and unused.column in METADATA_COLUMNS else ""
+            dimension = get_column_dimension(unused.column) if unused.column in METADATA_COLUMNS else None
+            example_unit = {"s": "ms", "m": "mm"}.get(dimension or "")
+            advice = f"; give it by --set {unused.column}={example_unit}" if example_unit else ""
             yield f"{unused.column}: {_format_unused(unused)} has no unit that is known{advice}"
 
 
 def _format_unused(unused: UnusedMetadata) -> str:
-    """Return the text and source of unused metadata, and how many entries are like it."""
+    """Return the text and source of unused metadata, and the number of other frames with such an entry."""
     return f"{unused.text} ({unused.source}{f', and {unused.frames - 1} like it' if unused.frames > 1 else ''})"
 
 
 def _join_examples(texts: Sequence[str]) -> str:
-    """Return the first texts, separated by commas, and the number of the others."""
+    """Return the first `MOST_EXAMPLES` texts, separated by commas, and the number of the others."""
     more = f" and {len(texts) - MOST_EXAMPLES} more" if len(texts) > MOST_EXAMPLES else ""
     return ", ".join(texts[:MOST_EXAMPLES]) + more

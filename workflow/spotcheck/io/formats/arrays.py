@@ -1,4 +1,7 @@
-"""Images in an array: the last two axes are rows and columns, the leading axes count pages, the last one fastest."""
+"""Images in an array: its last two axes are rows and columns, and the axes before them (leading axes) count pages.
+
+The last leading axis runs fastest. Behind rows and columns there may be an axis of red, green and blue.
+"""
 
 import math
 
@@ -8,7 +11,7 @@ from spotcheck.io.formats.page import GREY, ONE_CHANNEL, RGB, ImageError, Page, 
 
 # An array of three or more axes whose last axis has this length holds RGB images: no frame is that narrow.
 RGB_CHANNELS = 3
-# More pages than a manifest has rows.
+# Most pages of a file; no manifest has so many rows.
 MAX_PAGES = 10_000_000
 
 
@@ -18,7 +21,10 @@ def is_reading_type(dtype: np.dtype) -> bool:
 
 
 def make_pages(shape: tuple[int, ...], dtype: np.dtype) -> list[Page]:
-    """Return the header of each page of an array. Raises `ImageError`."""
+    """Return the header of each page of an array. Raises `ImageError` if it does not hold images.
+
+    Floating-point numbers of 32 and 64 bits are accepted; their pages have 0 bits.
+    """
     if not is_reading_type(dtype) and not (dtype.kind == "f" and dtype.itemsize in (4, 8)):
         raise ImageError(f"holds {dtype} pixels; {ONE_CHANNEL}")
     is_rgb = _is_rgb(shape)
@@ -37,11 +43,11 @@ def make_pages(shape: tuple[int, ...], dtype: np.dtype) -> list[Page]:
 
 
 def find_page_index(page: int, shape: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the index of a page along the leading axes of an array; the last of them runs fastest."""
+    """Return the index of a page along the leading axes of an array; () if it has none."""
     leading = shape[: -3 if _is_rgb(shape) else -2]
     return tuple(int(index) for index in np.unravel_index(page, leading)) if leading else ()
 
 
 def _is_rgb(shape: tuple[int, ...]) -> bool:
-    """Return whether the last axis of an array is that of red, green and blue."""
+    """Return whether the last axis of an array of this shape is that of red, green and blue."""
     return len(shape) > 2 and shape[-1] == RGB_CHANNELS

@@ -1,4 +1,4 @@
-"""One colour plane of frames with colours: a channel of RGB, or the pixels behind one filter of a raw Bayer frame.
+"""One colour plane of a frame with colours: a channel of RGB, or the pixels behind one filter of a raw Bayer frame.
 
 Nothing is interpolated. A plane of a Bayer frame holds every second row and column of the file, so its pixel pitch is
 twice that of the sensor. Pixel (x, y) of the plane is pixel (2x + c, 2y + r) of the file, where (r, c) is the row and
@@ -25,12 +25,13 @@ class Colour(NamedTuple):
 
     @property
     def offset(self) -> tuple[int, int]:
-        """Row and column of the filter in the upper left 2 × 2 pixels of a Bayer frame."""
+        """Row and column, 0 or 1, of the filter in the upper left 2 × 2 pixels of a Bayer frame."""
         assert self.bayer is not None and self.channel is not None
         letter, row_letter = self.channel[0].upper(), self.channel[-1].upper()
+        # Indices of the filters of this colour, which count row by row.
         indices = [index for index in range(4) if self.bayer[index] == letter]
         if letter == "G":
-            # index ^ 1 is the other pixel of the same row, which tells the two greens apart.
+            # green_r and green_b differ in the other filter of their row, whose index is index ^ 1.
             indices = [index for index in indices if self.bayer[index ^ 1] == row_letter]
         return divmod(indices[0], 2)
 
@@ -44,7 +45,12 @@ MONOCHROME = Colour()
 
 
 def select_plane(page: Page, colour: Colour) -> Page:
-    """Return the header of one colour plane of a page.
+    """Return the header of one colour plane of a page; that of a preview is unchanged.
+
+    Parameters
+    ----------
+    page : header of the page as it is stored.
+    colour : colour plane that instrument.yaml selects.
 
     Raises
     ------
@@ -71,7 +77,10 @@ def select_plane(page: Page, colour: Colour) -> Page:
 
 
 def extract_plane(pixels: np.ndarray, colour: Colour) -> np.ndarray:
-    """Return one colour plane [row, column] of an image [row, column] or [row, column, channel]."""
+    """Return one colour plane [row, column] of an image [row, column] or [row, column, channel].
+
+    The image must have the colours that `select_plane` checks; one without colours is returned unchanged.
+    """
     if pixels.ndim == 3:
         return np.ascontiguousarray(pixels[..., CHANNELS.index(colour.channel or "")])
     if not colour.bayer:

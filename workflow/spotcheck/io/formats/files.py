@@ -15,16 +15,16 @@ from spotcheck.io.formats.page import ONE_CHANNEL, ImageError, Page
 
 
 class Reader(Protocol):
-    """Module that reads a format. Both functions raise `ImageError`, or any other exception for a broken file."""
+    """Module that reads a format. Both functions raise `ImageError`, and possibly any exception for a broken file."""
 
     def list_pages(self, path: Path) -> list[Page]:
         """Return the header of each page of a file."""
 
     def read_pixels(self, path: Path, page: int) -> np.ndarray:
-        """Return a page [row, column] or [row, column, channel], in native byte order."""
+        """Return the stored pixels of a page [row, column] or [row, column, channel], in native byte order."""
 
 
-# First bytes, name of the format, and its reader.
+# First bytes of a file, name of its format, and the reader of the format.
 READERS: tuple[tuple[tuple[bytes, ...], str, Reader], ...] = (
     (tiff.SIGNATURES, "TIFF", tiff),
     ((png.SIGNATURE,), "PNG", png),
@@ -32,7 +32,7 @@ READERS: tuple[tuple[tuple[bytes, ...], str, Reader], ...] = (
     ((npy.SIGNATURE,), "NumPy", npy),
     ((hdf5.SIGNATURE,), "HDF5", hdf5),
 )
-# Formats that are recognised only to name them in the message.
+# First bytes and names of formats that are recognized only to name them in a message.
 UNREAD_FORMATS = (
     (b"BM", "BMP"),
     (b"\xff\xd8\xff", "JPEG"),
@@ -45,6 +45,8 @@ UNREAD_FORMATS = (
     (b"8BPS", "Photoshop"),
     (b"PK\3\4", "a ZIP archive"),
 )
+# First bytes of a file in which its signature is looked for, and most characters of the text of an error in a message.
+SIGNATURE_BYTES, LONGEST_REASON = 16, 120
 FLOATING_POINT = f"holds floating-point pixels, such as a mean of frames; {ONE_CHANNEL}"
 
 
@@ -54,18 +56,23 @@ def list_pages(path: Path, name: str, colour: Colour = MONOCHROME, *, allow_floa
     Parameters
     ----------
     path : Path
-        The file. The path of a dataset inside an HDF5 file follows behind #.
+        Path of the file, perhaps with # and the path of a dataset inside an HDF5 file.
     name : str
-        How messages call the file.
+        Name of the file in messages.
     colour : Colour
-        Colour plane of the pages that is described.
+        Colour plane whose header is returned.
     allow_floats : bool
-        Whether pages of floating-point numbers are accepted, which no converter gives.
+        Whether pages of floating-point numbers are accepted, which no camera writes.
+
+    Returns
+    -------
+    list of Page
+        Headers in the order of the pages, those of previews included.
 
     Raises
     ------
     InputError
-        If the file is broken or does not hold such images.
+        If the file is broken, or its images are not of the stated colours and types.
     """
     with _open_reader(path, name) as reader:
         pages = reader.list_pages(path)
@@ -77,9 +84,9 @@ def list_pages(path: Path, name: str, colour: Colour = MONOCHROME, *, allow_floa
 def read_pixels(
     path: Path, page: int, name: str, colour: Colour = MONOCHROME, *, allow_floats: bool = False
 ) -> np.ndarray:
-    """Return the stored pixels [row, column] of one colour plane of a page.
+    """Return the stored pixels [row, column] of one colour plane of a page, which counts from 0.
 
-    Parameters and exceptions are those of `list_pages`; `page` counts from 0.
+    The other parameters and the exceptions are those of `list_pages`.
     """
     with _open_reader(path, name) as reader:
         pixels = reader.read_pixels(path, page)
@@ -89,43 +96,55 @@ def read_pixels(
 
 
 def list_stacks(path: Path, name: str) -> list[str]:
-    """Return the names of the stacks of images in a file.
+    """Return the names of the stacks of images in a file, which `list_pages` accepts behind the folder of the file.
 
     An HDF5 file has one stack per dataset of frames, named `name#/path/inside`. Any other file is one stack, `name`.
     Raises `InputError` as `list_pages` does.
     """
     with _open_reader(path, name) as reader:
-        return [f"{name}#{inside}" for inside in hdf5.list_stacks(path)] if reader is hdf5 else [name]
+        return [f"{name}#{inner_path}" for inner_path in hdf5.list_stacks(path)] if reader is hdf5 else [name]
 
 
 @contextmanager
 def _open_reader(path: Path, name: str) -> Iterator[Reader]:
-    """Yield the reader for the format of a file; raise `InputError` for what goes wrong while it is used."""
-    kind, reader = _detect_format(Path(split_inner_path(path.as_posix())[0]), name)
+    """Yield the reader for the format of a file, and raise the errors of the `with` block as `InputError`.
+
+    Errors of the operating system that name a file are raised unchanged.
+    """
+    format_name, reader = _detect_format(Path(split_inner_path(path.as_posix())[0]), name)
     try:
         yield reader
     except Exception as error:
-        raise _convert_error(error, name, kind) from None
+        raise _convert_error(error, name, format_name) from None
 
 
 def _detect_format(path: Path, name: str) -> tuple[str, Reader]:
-    """Return the name and the reader of the format that the first bytes of a file show. Raises `InputError`."""
+    """Return the name and the reader of the format that the first bytes of a file show.
+
+    Raises `InputError` for other formats.
+    """
     with path.open("rb") as stream:
-        start = stream.read(16)
-    for signatures, kind, reader in READERS:
-        if start.startswith(signatures):
-            return kind, reader
-    for signature, kind in UNREAD_FORMATS:
-        if start.startswith(signature):
-            raise InputError(f"{name}: is {kind} by its first bytes, which is not read; save it as TIFF, PNG or PGM")
+        first_bytes = stream.read(SIGNATURE_BYTES)
+    for signatures, format_name, reader in READERS:
+        if first_bytes.startswith(signatures):
+            return format_name, reader
+    for signature, format_name in UNREAD_FORMATS:
+        if first_bytes.startswith(signature):
+            raise InputError(
+                f"{name}: is {format_name} by its first bytes, which is not read; save it as TIFF, PNG or PGM"
+            )
     raise InputError(
         f"{name}: cannot be read as an image: by its first bytes it is none of TIFF, PNG, PGM, HDF5, netCDF-4 and .npy,"
         " or it is cut short; copy the file again"
     )
 
 
-def _convert_error(error: Exception, name: str, kind: str) -> Exception:
-    """Return the exception to raise for one of a reader: tifffile and Pillow raise any class for a broken file."""
+def _convert_error(error: Exception, name: str, format_name: str) -> Exception:
+    """Return the exception to raise for an exception of a reader.
+
+    It is `InputError`, because tifffile and Pillow raise any class for a broken file, except for errors of the
+    operating system that name a file.
+    """
     if isinstance(error, ImageError):
         return InputError(f"{name}: {error}")
     if isinstance(error, OSError) and error.filename is not None:
@@ -134,5 +153,10 @@ def _convert_error(error: Exception, name: str, kind: str) -> Exception:
         return InputError(
             f"{name}: does not fit into memory; close other programs, or copy the file again if it is not that large"
         )
-    reason = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-    return InputError(f"{name}: cannot be read as {kind} ({reason}), perhaps cut short; copy the file again")
+    reason = describe_error(error)
+    return InputError(f"{name}: cannot be read as {format_name} ({reason}), perhaps cut short; copy the file again")
+
+
+def describe_error(error: Exception) -> str:
+    """Return the first line of the text of an error, shortened to `LONGEST_REASON`, or else the name of its class."""
+    return str(error).splitlines()[0][:LONGEST_REASON] if str(error) else type(error).__name__

@@ -1,4 +1,7 @@
-"""HDF5, netCDF-4 and NeXus files, read in a worker process: the HDF5 library crashes on some broken files."""
+"""HDF5, netCDF-4 and NeXus files, read in a worker process: the HDF5 library crashes on some broken files.
+
+A dataset is an HDF5 dataset here: an array in the file, with a path. Datasets of frames are the stacks of a file.
+"""
 
 import atexit
 import os
@@ -17,6 +20,7 @@ from spotcheck.io.formats.page import ImageError, Page
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 CRASHED = "cannot be read as HDF5: the library that reads it crashes or takes too long; copy the file again"
+# Held while a request is answered, because threads share the worker of their process.
 _lock = Lock()
 # Worker of each process by its id: a forked process must not read the replies to its parent.
 _workers: dict[int, subprocess.Popen] = {}
@@ -24,14 +28,17 @@ _workers: dict[int, subprocess.Popen] = {}
 
 def list_pages(path: Path) -> list[Page]:
     """Return the header of each page of a dataset, whose path inside the file follows behind #. Raises `ImageError`."""
-    file, inside = split_inner_path(path.as_posix())
-    return make_pages(*_request("layout", Path(file), inside))
+    file, inner_path = split_inner_path(path.as_posix())
+    return make_pages(*_request("layout", Path(file), inner_path))
 
 
 def read_pixels(path: Path, page: int) -> np.ndarray:
-    """Return a page [row, column] or [row, column, channel] of a dataset. Raises `ImageError`."""
-    file, inside = split_inner_path(path.as_posix())
-    return _request("pixels", Path(file), inside, page)
+    """Return the pixels of a page [row, column] or [row, column, channel] of a dataset. Raises `ImageError`.
+
+    `path` is as in `list_pages`.
+    """
+    file, inner_path = split_inner_path(path.as_posix())
+    return _request("pixels", Path(file), inner_path, page)
 
 
 def list_stacks(path: Path) -> list[str]:
@@ -39,27 +46,31 @@ def list_stacks(path: Path) -> list[str]:
     return _request("stacks", path)
 
 
-def read_metadata(path: Path, inside: str) -> list[tuple[str, str, int | None]]:
-    """Return the metadata of the dataset at the path `inside` a file. Raises `ImageError`.
+def read_metadata(path: Path, inner_path: str) -> list[tuple[str, str, int | None]]:
+    """Return the metadata of a dataset in a file; `inner_path` is "" for the only one of frames. Raises `ImageError`.
 
     Returns
     -------
     list of (name, value, page)
-        Attributes and neighbouring values of the dataset; `page` is None for a value that holds for all pages.
+        Attributes of the dataset, and values beside it; `page` is None for a value that holds for all pages.
     """
-    return _request("metadata", path, inside)
+    return _request("metadata", path, inner_path)
 
 
-def _request(what: str, path: Path, inside: str = "", page: int = 0) -> Any:
-    """Return the reply of the worker to a request. Raises the exception that it replies, or `ImageError` if it ends."""
+def _request(request: str, path: Path, inner_path: str = "", page: int = 0) -> Any:
+    """Return the reply of the worker to a request: "stacks", "metadata", "layout" (shape and type) or "pixels".
+
+    Raises the exception that the worker replies, or `ImageError` if the worker crashes.
+    """
     with _lock:
         try:
             worker = _start_worker()
             assert worker.stdin is not None and worker.stdout is not None
-            pickle.dump((what, str(path.absolute()), inside, page), worker.stdin)
+            pickle.dump((request, str(path.absolute()), inner_path, page), worker.stdin)
             worker.stdin.flush()
             reply = pickle.load(worker.stdout)
         except BaseException as error:
+            # Even an interrupt leaves a reply unread, so the worker is never used again.
             close()
             if isinstance(error, BrokenPipeError | EOFError | pickle.UnpicklingError):
                 raise ImageError(CRASHED) from None
@@ -81,7 +92,11 @@ def _start_worker() -> subprocess.Popen:
 
 
 def serve() -> None:
-    """Run the worker. The import stands here so that the digest of this module covers the worker's code."""
+    """Run the worker: the function that the worker process calls.
+
+    The import is here so that `provenance.code_digest` of this module includes the code of the worker, although only
+    the worker imports h5py.
+    """
     from spotcheck.io.formats import hdf5_worker
 
     hdf5_worker.serve()
@@ -89,7 +104,7 @@ def serve() -> None:
 
 @atexit.register
 def close() -> None:
-    """End the worker of this process."""
+    """End the worker of this process, if there is one."""
     if worker := _workers.pop(os.getpid(), None):
         worker.kill()
         worker.communicate()

@@ -1,4 +1,4 @@
-"""NumPy's .npy files: the header is checked here, and the pixels are read by memory mapping."""
+"""Files of NumPy (.npy): the header is checked here, and the pixels are read by memory mapping."""
 
 import math
 from pathlib import Path
@@ -21,19 +21,19 @@ def list_pages(path: Path) -> list[Page]:
         version = npy.read_magic(stream)
         if version not in ((1, 0), (2, 0), (3, 0)):
             raise ImageError(f"has version {version[0]}.{version[1]} of its format; save it anew by numpy.save")
-        # Version 3 differs from 2 only in the letters of field names, which frames do not have.
+        # Version 3 differs from 2 only in the encoding of field names, which frames do not have.
         read_header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read_header(stream)
-        start = stream.tell()
+        header_bytes = stream.tell()
     if any(size < 0 for size in shape):
         raise ImageError(f"has the shape {shape}; copy the file again")
     pages = make_pages(shape, dtype)
-    check_length(start + math.prod(shape) * dtype.itemsize, path.stat().st_size)
+    check_length(header_bytes + math.prod(shape) * dtype.itemsize, path.stat().st_size)
     return pages
 
 
 def read_pixels(path: Path, page: int) -> np.ndarray:
-    """Return a page [row, column] or [row, column, channel]. Raises as `list_pages` does."""
+    """Return the pixels of a page [row, column] or [row, column, channel]. Raises as `list_pages` does."""
     list_pages(path)
     array = npy.open_memmap(path, mode="r")
     return np.array(array[find_page_index(page, array.shape)], array.dtype.newbyteorder("="), order="C")

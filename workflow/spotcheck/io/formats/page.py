@@ -1,4 +1,7 @@
-"""Header of a page of an image file, the error for images that cannot be used, and checks of stated sizes."""
+"""Header of a page of an image file, the error for images that cannot be used, and checks of stated sizes.
+
+A page is one image of a file; a file with several pages is a stack.
+"""
 
 from typing import NamedTuple
 
@@ -7,10 +10,11 @@ from typing import NamedTuple
 MAX_PIXELS = 500_000_000
 # Largest ratio of unpacked to packed bytes of deflate (RFC 1951: runs of 258 bytes in two bits).
 DEFLATE_RATIO = 1032
+# Parts of messages of several readers.
 PREVIEW_MESSAGE = "is a preview or mask of another image (NewSubfileType); name the page that holds the image"
 ONE_CHANNEL = "it must be one channel of 8 to 16 bit unsigned integers"
 
-# Colours of a page: one channel, three channels, or a raw frame behind a colour filter array.
+# Colours of a page: one channel, three channels, or a raw frame behind a colour filter array of unknown layout.
 GREY, RGB, CFA = "", "RGB", "CFA"
 
 
@@ -28,7 +32,7 @@ class ImageError(ValueError):
 
 
 def check_size(rows: int, columns: int) -> None:
-    """Raise `ImageError` for a page with no pixels or with more than `MAX_PIXELS`."""
+    """Raise `ImageError` for a page [px] with no pixels or with more than `MAX_PIXELS`."""
     if rows < 1 or columns < 1:
         raise ImageError("has no pixels; copy the file again")
     if rows * columns > MAX_PIXELS:

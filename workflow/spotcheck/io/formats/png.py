@@ -1,4 +1,8 @@
-"""PNG files: chunks that change the meaning of a sample are checked here, and Pillow or imagecodecs decodes."""
+"""PNG files: chunks that change the meaning of a sample are checked here, and Pillow or imagecodecs decodes.
+
+A sample is the stored number of one channel of a pixel: a grey pixel has one, an RGB pixel three. A file is a sequence
+of chunks, each with its length, name, content and checksum.
+"""
 
 import struct
 from pathlib import Path
@@ -13,11 +17,13 @@ from spotcheck.io.formats.page import DEFLATE_RATIO, GREY, ONE_CHANNEL, RGB, Ima
 Image.MAX_IMAGE_PIXELS = None
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
-# Colour types (PNG, third edition, section 11.2.1).
+# Colour type that is read, and those that are refused (PNG, third edition, section 11.2.1).
 RGB_TYPE = 2
 REFUSED_TYPES = {3: "a palette of colours", 4: "a channel of transparency", 6: "RGB colour and transparency"}
-# Chunks (PNG, third edition, section 11.3) that change the meaning of a sample, and how.
+# Chunks (PNG, third edition, section 11.3) that change the meaning of a sample, and what they do.
 REFUSED_CHUNKS = {b"tRNS": "makes pixels of one value transparent", b"acTL": "makes it a film of several images"}
+# Bytes of the content of the header chunk, and first bytes of the content of a chunk that are read.
+HEADER_BYTES, CONTENT_BYTES = 13, 64
 
 
 class Header(NamedTuple):
@@ -25,8 +31,8 @@ class Header(NamedTuple):
 
     rows: int  # rows [px]
     columns: int  # columns [px]
-    bits: int  # bits of a sample
-    significant_bits: int  # bits of a reading before it was scaled to the range of a sample
+    bits: int  # bits of a sample, 8 or 16
+    significant_bits: int  # bits of a reading before it was scaled to the range of a sample (chunk sBIT)
     is_rgb: bool  # whether a pixel has three samples, not one
 
 
@@ -36,7 +42,7 @@ def read_header(path: Path) -> Header:
     with path.open("rb") as stream:
         stream.seek(len(SIGNATURE))
         name, content = _read_chunk(stream, length)
-        if name != b"IHDR" or len(content) < 13:
+        if name != b"IHDR" or len(content) < HEADER_BYTES:
             raise ImageError("has no PNG header; copy the file again")
         columns, rows, bits, colour_type = struct.unpack(">IIBB", content[:10])
         significant_bits = bits
@@ -56,30 +62,35 @@ def read_header(path: Path) -> Header:
         raise ImageError(f"its chunk sBIT says {significant_bits} of {bits} bits; it must be 1 to {bits}")
     check_size(rows, columns)
     is_rgb = colour_type == RGB_TYPE
+    # Each row has one more byte, the type of its filter.
     check_length(rows * ((3 if is_rgb else 1) * columns * bits // 8 + 1) // DEFLATE_RATIO, length)
     return Header(rows, columns, bits, significant_bits, is_rgb)
 
 
 def _read_chunk(stream: BinaryIO, length: int) -> tuple[bytes, bytes]:
-    """Return the name and the first bytes of the next chunk. Raises `ImageError` if the file ends within it."""
-    start = stream.read(8)
-    size = int.from_bytes(start[:4])
-    end = stream.tell() + size + 4
-    if len(start) < 8 or end > length:
+    """Return the name and the first `CONTENT_BYTES` of the content of the next chunk, and move behind it.
+
+    Raises `ImageError` if the file of `length` bytes ends within the chunk.
+    """
+    # Four bytes each: length of the content, name and, behind the content, checksum.
+    chunk_start = stream.read(8)
+    size = int.from_bytes(chunk_start[:4])
+    chunk_end = stream.tell() + size + 4
+    if len(chunk_start) < 8 or chunk_end > length:
         raise ImageError("is cut short; copy the file again")
-    content = stream.read(min(size, 64))
-    stream.seek(end)
-    return start[4:], content
+    content = stream.read(min(size, CONTENT_BYTES))
+    stream.seek(chunk_end)
+    return chunk_start[4:], content
 
 
 def list_pages(path: Path) -> list[Page]:
-    """Return the header of the only page of a file. Raises `ImageError`."""
+    """Return the header of the only page of a file, as a list. Raises `ImageError`."""
     header = read_header(path)
     return [Page((header.rows, header.columns), header.significant_bits, colours=RGB if header.is_rgb else GREY)]
 
 
 def read_pixels(path: Path, page: int) -> np.ndarray:
-    """Return the image [row, column] or [row, column, channel] as uint8 or uint16.
+    """Return the readings of the only page [row, column] or [row, column, channel] as uint8 or uint16.
 
     Raises `ImageError`, and what Pillow or imagecodecs raises for a broken file.
     """
@@ -96,9 +107,10 @@ def read_pixels(path: Path, page: int) -> np.ndarray:
 
 
 def _undo_scaling(pixels: np.ndarray, bits: int, significant_bits: int) -> np.ndarray:
-    """Return readings that were scaled from the bits of chunk sBIT to those of a sample, shifted back (section 13.12).
+    """Return the readings of samples [row, column] or [row, column, channel]: their `significant_bits` high bits.
 
-    Raises `ImageError` if no way of scaling in section 12.4 gives the low bits.
+    A writer scales readings of `significant_bits` to samples of `bits`, which a shift to the right undoes (PNG, third
+    edition, section 13.12). Raises `ImageError` if no way of scaling in section 12.4 gives the low bits.
     """
     shift = bits - significant_bits
     if not shift:
