@@ -70,7 +70,7 @@ STAGES = (
     Stage("bounds", "bounds.nc", 5, 1, ("calibrate",)),
     Stage("precision", "precision.nc", 6, 1, ("fit_simulated",)),
     Stage("judge", "verdict.json, model.yaml", 3, 2, ("sensor",)),
-    Stage("simulate_extended", "extended.nc", 4, 1, ("judge",)),
+    Stage("extended", "extended_metrics.nc", 4, 1, ("judge", "metrics")),
     Stage("views", "views.nc", 4, 2, ("fit", "judge")),
     Stage("figures", "figures/", 4, 3),
     Stage("paper", "paper_numbers.csv", 4, 4),
@@ -79,7 +79,7 @@ STAGES = (
     Stage("notebook", "notebooks/", 6, 3),
 )
 # What a box is called where its rule has another name.
-TITLES = {"fit_simulated": "ingest · crop · fit", "simulate_extended": "extended"}
+TITLES = {"fit_simulated": "ingest · crop · fit"}
 # Rules that the picture leaves out, or shows as part of a stage.
 NOT_SHOWN = ("ingest_simulated", "crop_simulated", "flats", "chain", "tables")
 

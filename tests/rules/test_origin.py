@@ -31,7 +31,7 @@ def test_rules_are_those_of_the_snakefile(flats, tmp_path):
     assert told == {path: own[path] for path in told}
     # Each rule whose numbers can be asked for was among them.
     rules = {"ingest", "crop", "transfer", "sensor", "fit", "calibrate", "simulate", "metrics", "bounds", "caustic"}
-    rules |= {"precision", "judge", "flats", "paper", "ingest_simulated", "fit_simulated", "simulate_extended"}
+    rules |= {"precision", "judge", "flats", "paper", "ingest_simulated", "fit_simulated", "extended"}
     assert rules <= set(told.values())
     assert {path.name for path in own if path.suffix == ".nc"} <= {
         name for options in list_outputs().values() for names in options for name in names

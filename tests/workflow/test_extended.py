@@ -1,43 +1,34 @@
-"""The extended model by the workflow: model.yaml comes with the verdict, and one target simulates it."""
+"""The extended model in the default run: simulated, evaluated as the measured frames, and compared with them."""
 
-import shutil
+import csv
 
+import numpy as np
 import pytest
 import xarray as xr
 
 from spotcheck.cli import main
 from spotcheck.dataset.folder import load
+from spotcheck.metrics.model_comparison import METRICS
 from spotcheck.model.model_file import read_model
-from tests.conftest import planned, snakemake
-
-# One copy of the small run serves all.
-pytestmark = pytest.mark.xdist_group("extended")
 
 
 @pytest.fixture(scope="module")
-def run(small_run, tmp_path_factory):
-    """A copy of the small run, with the target on top; where the dataset lies, results, and what was planned."""
-    root, dataset = tmp_path_factory.mktemp("extended"), small_run.parents[1] / "small"
-    shutil.copytree(small_run, root / "small")
-    where = {"dataset": dataset, "results": root}
-    plan = snakemake("extended", "--dry-run", config=where)
-    done = snakemake("extended", config=where)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return dataset, root / "small", planned(plan.stdout + plan.stderr)
+def run(small_run):
+    """Folder of the dataset and folder of its results."""
+    return small_run.parents[1] / "small", small_run
 
 
-def test_it_comes_after_the_verdict_and_nothing_waits_for_it(run):
-    """The whole run leaves model.yaml; the target adds one job, and the whole run does not ask for it."""
-    dataset, results, plan = run
-    assert plan == {"simulate_extended": 1, "extended": 1}
-    assert (results / "model.yaml").exists()
-    whole = snakemake("--dry-run", "--forceall", config={"dataset": dataset, "results": results.parent})
-    assert "simulate_extended" not in planned(whole.stdout + whole.stderr)
+def test_both_models_are_compared_with_the_measured_frames(run):
+    """A line for each of six metrics in each condition, with finite numbers."""
+    rows = list(csv.DictReader((run[1] / "model_comparison.csv").read_text(encoding="utf-8").splitlines()))
+    assert {row["metric"] for row in rows} == set(METRICS.values())
+    for row in rows:
+        assert all(np.isfinite(float(row[name])) for name in ("measured", "measured_sd", "declared", "extended"))
 
 
 def test_the_simulated_folder_is_a_dataset(run, tmp_path, capsys):
     """With the measured design, in the sensor's own place; `check` and `ingest` take it."""
-    dataset, results, _ = run
+    dataset, results = run
     main(["check", str(results / "extended")])
     main(["ingest", str(results / "extended"), "--output", str(tmp_path / "frames.nc")])
     assert "18 spot" in capsys.readouterr().out

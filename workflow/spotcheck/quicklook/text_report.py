@@ -128,6 +128,8 @@ def _describe_shape(image: ImageResult) -> str:
         roundness = f"round{' by ISO 11146-1' if by_moments else ''} ({text}, {ROUND_RATIO} or more)"
     else:
         roundness = f"elliptical ({text})"
+    if not math.isfinite(image.residual_rms):
+        return f"{roundness}; the Gaussian fit did not converge"
     residual = f"rms residual {100 * image.residual_rms:.2g} % of the peak"
     if not image.is_noise_known:
         return f"{roundness}; {residual}; the noise is unknown"

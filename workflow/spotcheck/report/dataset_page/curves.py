@@ -23,9 +23,9 @@ from spotcheck.report.pages.plots import figure_json
 # Number of points of a law that is drawn as a line.
 LINE_POINTS = 60
 # Colours of page.css by the source of a value.
-COLOURS = {"measured": "var(--measured)", "simulated": "var(--simulated)"}
-# Pictures of figures/ that a curve of a metric replaces; the others are named after their metric.
-METRIC_PICTURES = {"speckle_contrast": "fig09b", "maximum": "fig10a", "sum": "fig12"}
+COLOURS = {"measured": "var(--measured)", "simulated": "var(--simulated)", "extended": "var(--accent)"}
+# Dashes of Plotly by the source of a value.
+SOURCE_DASHES = {"measured": "solid", "simulated": "dash", "extended": "dot"}
 # Names of the distributions of readings in bounds.nc.
 READING_LAWS = {"poisson_gauss": "shot and read noise", "poisson": "shot noise alone", "dn": "a Poisson law of DN"}
 # Ordinate of the nonlinearity: so many times the largest deviation in the fitted range, at least this [%].
@@ -65,7 +65,7 @@ def _make_axis(title: str, **attributes: Any) -> dict[str, Any]:
 
 
 def _make_points(name: str, x: Any, y: Any, error: Any = None, source: str = "measured", **attributes: Any) -> Trace:
-    """Return a trace of points in the colour of a source: "measured" or "simulated".
+    """Return a trace of points in the colour of a source, a key of `COLOURS`.
 
     `x`, `y` and `error` are of equal length; without errors there are no error bars. `attributes` are those of Plotly.
     """
@@ -122,21 +122,27 @@ def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
 
 
 def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
-    """Return a curve for each metric of the crops, measured and simulated: mean and standard deviation of frames."""
+    """Return a curve for each metric of the crops, measured and simulated by both models: mean and standard deviation of frames."""
     if "metrics" not in files:
         return []
-    ds = files["metrics"].sel(centring="light")
+    ds, extended = files["metrics"].sel(centring="light"), files.get("extended_metrics")
+    if extended is not None:
+        extended = None if "skipped" in extended.attrs else extended.sel(centring="light")
     grid = tuple(str(dim) for dim in ds["psnr"].dims if dim not in ("registration", "data_range"))
     axes, curves = series.choose_axes(ds, grid), []
     for metric in PER_IMAGE:
-        points = {source: series.average_frames(ds[metric.name].sel(source=source), axes) for source in COLOURS}
+        points = {
+            source: series.average_frames(ds[metric.name].sel(source=source), axes)
+            for source in ("measured", "simulated")
+        }
+        if extended is not None:
+            points["extended"] = series.average_frames(extended[metric.name].sel(source="simulated"), axes)
         if any(statistics.frames.any() for statistics in points.values()):
             unit, name = "" if metric.units == "1" else metric.units, metric.name.replace("_", " ")
             meaning = f"{metric.long_name[0].upper()}{metric.long_name[1:]}"
             caption = f"{meaning}. {series.frames_text(points['measured'], axes)}."
             figure = _draw_metric(ds, axes, points, style.axis_label(name, unit), unit)
-            picture = METRIC_PICTURES.get(metric.name, f"metric-{metric.name.replace('_', '-')}")
-            curves.append(Curve(f"curve-{metric.name}", name.capitalize(), figure, caption, picture))
+            curves.append(Curve(f"curve-{metric.name}", name.capitalize(), figure, caption))
     return curves
 
 
@@ -157,7 +163,7 @@ def _draw_metric(
                 "marker": {"symbol": SYMBOLS[k % len(SYMBOLS)] + ("" if is_measured else "-open")},
                 "hovertemplate": f"{name}: %{{y:.5~g}} {unit}<extra></extra>",
                 "mode": "lines+markers",
-                "line": {"color": COLOURS[source], "width": 1, "dash": "solid" if is_measured else "dash"},
+                "line": {"color": COLOURS[source], "width": 1, "dash": SOURCE_DASHES[source]},
             }
             sd = statistics.sd[k] if np.isfinite(statistics.sd[k]).any() else None
             data.append(_make_points(name, x, statistics.mean[k], sd, source, **attributes))

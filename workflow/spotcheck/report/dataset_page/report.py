@@ -101,6 +101,7 @@ def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations)
         "transfer": tables.tabulate_transfer(available.get("transfer"), citations),
         "calibration": tables.tabulate_calibration(available.get("calibration"), citations),
         "levels": tables.tabulate_levels(dataset, available),
+        "models": tables.tabulate_models(available.get("metrics"), available.get("extended_metrics")),
         "caustic": tables.describe_caustic(available.get("caustic"), citations),
         "precision": tables.tabulate_precision(available.get("precision"), citations),
         "fits": tables.tabulate_fits(dataset, fits, citations),

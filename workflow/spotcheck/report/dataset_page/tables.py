@@ -24,6 +24,7 @@ from spotcheck.fitting.fit_results import PARAMETERS
 from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
 from spotcheck.io.number_text import number_text, quantity_text
+from spotcheck.metrics.model_comparison import compare_models, summarise_comparison
 from spotcheck.paper.number_checks import GROUPS
 from spotcheck.paper.plateau_level import estimate_plateau_levels
 from spotcheck.report.figures import series
@@ -286,6 +287,35 @@ def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple
         if reasons:
             rows.append((frame.label, "; ".join(reasons)))
     return rows
+
+
+def tabulate_models(declared: xr.Dataset | None, extended: xr.Dataset | None) -> dict[str, Any] | None:
+    """Return how far both models are from the measured frames, by metric and by condition; None without both.
+
+    Distances are in standard deviations of measured repeats; see `metrics.model_comparison`.
+    """
+    if declared is None or extended is None:
+        return None
+    compared = compare_models(declared, extended)
+    summary = {name: tuple(map(number_text, pair)) for name, pair in summarise_comparison(compared).items()}
+    rows = [
+        (
+            row.metric,
+            ", ".join(series.condition_text(declared, {dim: _index_of(declared, dim, value)})
+                      for dim, value in row.conditions.items()),
+            quantity_text(row.measured, row.measured_sd),
+            *(f"{number_text(value, 4)} ({number_text(distance, 2)})"
+              for value, distance in zip((row.declared, row.extended), row.distances(), strict=True)),
+        )
+        for row in compared
+    ]  # fmt: skip
+    closer = sum(of_extended < of_declared for of_declared, of_extended in summarise_comparison(compared).values())
+    return {"summary": summary, "rows": rows, "hint": f"extended nearer in {closer} of {len(summary)} metrics"}
+
+
+def _index_of(ds: xr.Dataset, dim: str, value: float) -> int:
+    """Return the position of a value along a dimension."""
+    return int(np.argmin(np.abs(ds[dim].values - value)))
 
 
 def read_paper_numbers(path: Path) -> dict[str, Any] | None:

@@ -89,10 +89,11 @@ def iterate_frames(results: Results, fixed: dict[str, int]) -> Iterator[tuple[Fi
 
 
 class FramePair(NamedTuple):
-    """A measured and a simulated frame at the same index of the grid."""
+    """A measured frame and simulated ones at the same index of the grid."""
 
     measured: FittedFrame  # measured frame
-    simulated: FittedFrame  # simulated frame with random noise
+    simulated: FittedFrame  # frame simulated by the declared model, with random noise
+    extended: FittedFrame | None  # frame simulated by the extended model; None if there is none, or without a fit
     name: str  # conditions as text; "" if none were recorded
 
 
@@ -109,8 +110,16 @@ def find_pair(results: Results) -> FramePair:
         index["exposure"] = crops.sizes["exposure"] - 1 - index["exposure"]
         measured, simulated = read_frame(crops, fits, index), read_frame(simulated_crops, simulated_fits, index)
         if measured and simulated:
-            return FramePair(measured, simulated, _describe_conditions(crops, index))
+            return FramePair(measured, simulated, _read_extended(results, index), _describe_conditions(crops, index))
     raise Unavailable("no cell of the grid has a usable measured and simulated frame")
+
+
+def _read_extended(results: Results, index: dict[str, int]) -> FittedFrame | None:
+    """Return the frame of the extended model at an index of the grid; None if there is none, or without a fit."""
+    try:
+        return read_frame(results.get("extended/crops"), results.get("extended/fits"), index)
+    except Unavailable:
+        return None
 
 
 def _describe_conditions(ds: xr.Dataset, index: dict[str, int]) -> str:

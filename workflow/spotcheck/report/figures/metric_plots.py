@@ -3,21 +3,24 @@
 A law gives the width of the spot at each exposure. Without one, each frame is simulated with its own fitted parameters.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
+from matplotlib.figure import Figure
 
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE
 from spotcheck.metrics.metrics_table import FIT_PARAMETERS
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import METRICS, Category, Entry
-from spotcheck.report.figures.results import Results
+from spotcheck.report.figures.results import Results, Unavailable
 
+# Most panels of a figure, and of a row.
+MAX_PANELS, PANELS_PER_ROW = 6, 3
 # Simulated widths of one exposure count as equal within this difference [px].
 WIDTH_TOLERANCE = 1e-9
 
@@ -43,112 +46,165 @@ def follows_law(results: Results) -> bool:
 
 
 def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
-    """Draw a metric of measured frames with error bars, and of simulated frames dashed in the same colour.
+    """Draw a metric of measured frames and of frames simulated by both models, one panel per line of the grid.
 
     Raises `Unavailable` if no measured frame has a value.
     """
-    metrics = results.get("metrics")
+    metrics, extended = results.get("metrics"), _read_extended(results)
     # The paper uses least squares; its numbers are comparable with that fit only.
     fit = "least_squares" if results.has_paper_design() else metrics.attrs["preferred"]
-    ds = metrics.sel(centring="light", fit=fit)
-    axes = series.choose_axes(ds, store.grid_dims(metrics))
-    values, untrusted_count = ds[plot.metric], 0
-    if plot.metric in FIT_PARAMETERS:
-        values = values.where((ds["status"] & store.UNTRUSTED) == 0)
-        untrusted_count = int((ds[plot.metric].notnull() & values.isnull()).sel(source="measured").sum())
-    measured = series.require_values(series.average_frames(values.sel(source="measured"), axes), plot.meaning.lower())
-    simulated = series.average_frames(values.sel(source="simulated"), axes)
+    axes = series.choose_axes(metrics, store.grid_dims(metrics))
+    measured_values = _select_values(metrics, plot.metric, fit, "measured")
+    measured = series.require_values(series.average_frames(measured_values, axes), plot.meaning.lower())
+    models = {"declared model": series.average_frames(_select_values(metrics, plot.metric, fit, "simulated"), axes)}
+    if extended is not None:
+        values = _select_values(extended, plot.metric, fit, "simulated")
+        models["extended model"] = series.average_frames(values, axes)
     divisor, power_text = style.choose_power_of_ten(float(np.nanmax(measured.mean)))
-    names, lines = series.list_line_names(ds, axes), style.line_styles(len(measured.mean))
+    shown = series.pick_evenly(len(measured.mean), MAX_PANELS)
+    figure, panels = _make_panels(len(shown))
+    names = series.list_line_names(metrics, axes)
     has_law = follows_law(results)
     # The law depends on the exposure alone, so that the simulation is the same at all other values of the abscissa.
     is_constant = has_law and axes.abscissa in ("angle", "repeat")
-    figure = style.new_figure(3.5)
-    ax = figure.add_subplot()
-    x = series.set_abscissa(ax, ds, axes)
     handles: list = []
-    labels: list[str] = []
-    for k, (line, offset) in enumerate(zip(lines, series.offset_lines(x, len(lines)), strict=True)):
-        mean, sd = measured.mean[k] / divisor, measured.sd[k] / divisor
-        handles.append(series.draw_error_bars(ax, x + offset, mean, sd, line))
-        weights = simulated.frames[k] if is_constant else None
-        handles.append(_draw_simulated(ax, x + offset, simulated.mean[k] / divisor, line, weights))
-        labels += [", ".join(filter(None, (names[k], source))) for source in ("measured", "simulated")]
-    ax.set_ylabel(plot.label.replace("{tens}", power_text))
-    style.add_legend(figure, handles, labels, min(len(lines), 3) if len(lines) > 1 else 2)
+    for ax, k in zip(panels, shown, strict=True):
+        x = series.set_abscissa(ax, metrics, axes)
+        handles = _draw_series(ax, x, measured, models, int(k), divisor, is_constant)
+        ax.set_title(names[k])
+        ax.label_outer()
+    figure.supylabel(plot.label.replace("{tens}", power_text), fontsize="medium")
+    style.add_legend(figure, handles, ["measured", *models], len(handles))
     caption = f"{plot.meaning}: crops centred on the light. {series.frames_text(measured, axes)};"
     caption += f" {int(measured.frames.sum())} measured frames."
-    if is_constant:
-        caption += " Dashed level: the mean of the simulated frames, since the model does not depend on the"
-        caption += f" {axes.abscissa}."
-    else:
-        caption += " Dashed with open markers: the simulated frames, evaluated in the same way."
+    if len(shown) < len(names):
+        caption += f" {len(shown)} of {len(names)} panels are shown."
+    caption += " Declared: the paper's model with the calibrated p1 and p2"
+    caption += f", which does not depend on the {axes.abscissa}." if is_constant else "."
     if not has_law:
         caption += " No law links the frames: each one is simulated with its own fitted parameters, so that"
         caption += " fitted amplitude and width agree by construction."
-    if untrusted_count:
-        caption += f" {untrusted_count} fits that did not converge or have an implausible width are not counted."
+    if extended is not None:
+        caption += " Extended: with the effects of the verdict; its sites are drawn at random, so that its error bars"
+        caption += " are simulated as well."
+    if plot.metric in FIT_PARAMETERS:
+        untrusted_count = int(
+            metrics[plot.metric].sel(centring="light", source="measured", fit=fit).notnull().sum()
+            - measured_values.notnull().sum()
+        )
+        if untrusted_count:
+            caption += f" {untrusted_count} fits that did not converge or have an implausible width are not counted."
     return style.Drawing(figure, caption + (results.paper_note(plot.note) if plot.note else ""))
 
 
-def _draw_simulated(
-    ax: Axes, x: np.ndarray, mean: np.ndarray, line: style.LineStyle, weights: np.ndarray | None
-) -> Line2D:
-    """Draw the `mean` of simulated frames [point] over `x` dashed; return the artist for the legend.
+def _read_extended(results: Results) -> xr.Dataset | None:
+    """Return extended_metrics.nc; None if the dataset has no extended model."""
+    try:
+        return results.get("extended_metrics")
+    except Unavailable:
+        return None
 
-    With `weights` [point], the numbers of frames, draw the weighted average of all points as a horizontal line instead.
+
+def _select_values(ds: xr.Dataset, metric: str, fit: str, source: str) -> xr.DataArray:
+    """Return a metric [grid] of the crops of a source that are centred on the light; NaN for fits not to be trusted."""
+    chosen = ds.sel(centring="light", fit=fit, source=source)
+    values = chosen[metric]
+    return values.where((chosen["status"] & store.UNTRUSTED) == 0) if metric in FIT_PARAMETERS else values
+
+
+def _make_panels(count: int, rows: int = 1, height: float = 3.2) -> tuple[Figure, np.ndarray]:
+    """Return a figure with `count` panels in each of some groups of rows, and the panels in use [group · count].
+
+    A group has at most `PANELS_PER_ROW` panels per row; its panels share their ordinate.
     """
-    dashes = (0, line.dashes)
-    if weights is not None and weights.any():
-        level = float(np.average(mean[weights > 0], weights=weights[weights > 0]))
-        return ax.axhline(level, color=line.colour, linestyle=dashes)
-    marker: dict[str, Any] = {"marker": line.marker, "markerfacecolor": "none", "markersize": 8}
-    return ax.plot(x, mean, color=line.colour, linestyle=dashes, **marker)[0]
+    columns = min(count, PANELS_PER_ROW)
+    rows_per_group = -(-count // columns)
+    figure = style.new_figure(0.5 + rows * rows_per_group * (height - 0.5))
+    grid = figure.subplots(rows * rows_per_group, columns, squeeze=False, sharey="row" if rows > 1 else True)
+    panels = []
+    for group in grid.reshape(rows, rows_per_group * columns):
+        panels += list(group[:count])
+        for unused in group[count:]:
+            unused.set_axis_off()
+    return figure, np.array(panels)
+
+
+def _draw_series(
+    ax: Axes,
+    x: np.ndarray,
+    measured: series.LineStatistics,
+    models: Mapping[str, series.LineStatistics],
+    line: int,
+    divisor: float,
+    is_constant: bool,
+) -> list:
+    """Draw line number `line` of each series over `x`, all divided by `divisor`; return the handles for the legend.
+
+    Measured frames and the extended model have error bars. The first model, the declared one, is a horizontal line if
+    `is_constant`: the average of all its frames.
+    """
+    offsets = series.offset_lines(x, 2)
+    looks = dict(zip(("declared model", "extended model"), (style.SIMULATED, style.ACCENT), strict=True))
+    measured_look = style.LineStyle(style.MEASURED, "o", ())
+    mean, sd = measured.mean[line] / divisor, measured.sd[line] / divisor
+    handles: list = [series.draw_error_bars(ax, x + offsets[0], mean, sd, measured_look)]
+    for name, statistics in models.items():
+        mean, sd, frames = statistics.mean[line] / divisor, statistics.sd[line] / divisor, statistics.frames[line]
+        if name == "declared model" and is_constant and frames.any():
+            level = float(np.average(mean[frames > 0], weights=frames[frames > 0]))
+            handles.append(ax.axhline(level, color=looks[name], linestyle=style.DASHED))
+        elif name == "declared model":
+            handles += ax.plot(x, mean, color=looks[name], linestyle=style.DASHED, marker="s", markerfacecolor="white")
+        else:
+            look = style.LineStyle(looks[name], "^", ())
+            handles.append(series.draw_error_bars(ax, x + offsets[1], mean, sd, look, is_filled=False))
+    return handles
 
 
 def draw_psnr(results: Results) -> style.Drawing:
-    """Draw Fig. 9a: the peak signal-to-noise ratio (PSNR) as in the paper, and that of registered crops.
+    """Draw Fig. 9a: the peak signal-to-noise ratio (PSNR) as in the paper, and that of registered crops below.
 
-    The paper centres each crop on its maximum and uses the range of 16-bit numbers. The second panel has crops that are
-    registered on the fitted centres, and the range of the sensor. Raises `Unavailable` if there is no PSNR.
+    The paper centres each crop on its maximum and uses the range of 16-bit numbers. The panels below have crops that
+    are registered on the fitted centres, and the range of the sensor. Raises `Unavailable` if there is no PSNR.
     """
-    ds = results.get("metrics")
+    ds, extended = results.get("metrics"), _read_extended(results)
     axes = series.choose_axes(ds, store.grid_dims(ds))
     full_scale = float(results.get("sensor")["full_scale_dn"])
     range_db = 20 * np.log10(CONTAINER_RANGE / full_scale)
-    as_printed, registered = (
-        series.require_values(
-            series.average_frames(ds["psnr"].sel(registration=registration, data_range=data_range), axes),
-            "a peak signal-to-noise ratio",
-        )
-        for registration, data_range in (("maximum", "container"), ("fitted", "sensor"))
-    )
-    names, lines = series.list_line_names(ds, axes), style.line_styles(len(as_printed.mean))
-    figure = style.new_figure(3.6)
-    panels = figure.subplots(1, 2)
-    titles = ("crops at the maximum,\nrange 65535", f"crops registered on fitted centres,\nrange {full_scale:.0f}")
-    handles = []
-    for ax, statistics, title in zip(panels, (as_printed, registered), titles, strict=True):
-        x = series.set_abscissa(ax, ds, axes)
-        handles = [
-            series.draw_error_bars(ax, x + offset, statistics.mean[k], statistics.sd[k], lines[k])
-            for k, offset in enumerate(series.offset_lines(x, len(lines)))
-        ]
-        ax.set(title=title, ylabel="PSNR / dB")
-    _equalize_spans(panels)
-    if any(names):
-        style.add_legend(figure, handles, names, min(len(names), 6))
-    # The crops of the left panel with the range of the right one, which separates both effects.
+    kinds = (("maximum", "container", "range 65535"), ("fitted", "sensor", f"registered, range {full_scale:.0f}"))
+    names = series.list_line_names(ds, axes)
+    shown = series.pick_evenly(len(names), PANELS_PER_ROW)
+    figure, panels = _make_panels(len(shown), rows=2)
+    handles: list = []
+    averages = []
+    for (registration, data_range, title), row in zip(kinds, panels.reshape(2, -1), strict=True):
+
+        def average(values: xr.DataArray, kind: tuple[str, str] = (registration, data_range)) -> series.LineStatistics:
+            """Return the statistics of a PSNR with the registration and data range of this row."""
+            return series.average_frames(values.sel(registration=kind[0], data_range=kind[1]), axes)
+
+        models = {"declared model": series.require_values(average(ds["psnr"]), "a peak signal-to-noise ratio")}
+        averages.append(models["declared model"])
+        if extended is not None:
+            models["extended model"] = average(extended["psnr"])
+        for ax, k in zip(row, shown, strict=True):
+            x = series.set_abscissa(ax, ds, axes)
+            handles = _draw_series(ax, x, average(ds["psnr_repeats"]), models, int(k), 1.0, is_constant=False)
+            ax.set_title(names[k] if registration == "maximum" else "")
+        row[0].set_ylabel(f"PSNR / dB, {title}")
+    style.add_legend(figure, handles, ["measured repeats", *models], len(handles))
+    # The crops of the upper panels with the range of the lower ones, which separates both effects.
     at_sensor_range = ds["psnr"].sel(registration="maximum", data_range="sensor").values
-    printed_db, registered_db = _average_all_frames(as_printed), _average_all_frames(registered)
+    printed_db, registered_db = map(_average_all_frames, averages)
     sensor_range_db = at_sensor_range[np.isfinite(at_sensor_range)].mean()
     caption = (
-        "Peak signal-to-noise ratio of measured against simulated frames. Left: both crops centred on their own"
-        " maximum and scaled to 65535, the range of a 16-bit container, as in the paper. Right: the simulated crop"
-        " moved onto the measured fitted centre and scaled to the sensor's own range. The range alone is worth"
-        f" {range_db:.1f} dB: the crops of the left panel average {printed_db:.1f} dB, at the sensor's range"
-        f" {sensor_range_db:.1f} dB, and registered {registered_db:.1f} dB. Both ordinates span the same"
-        f" decibels. {series.frames_text(as_printed, axes)}."
+        "Peak signal-to-noise ratio of measured frames against frames of both models, and against the next measured"
+        " repeat: new speckle limits it even for a true model. Above: both crops centred on their own maximum and"
+        " scaled to 65535, the range of a 16-bit container, as in the paper. Below: the other crop moved onto the"
+        " measured fitted centre and scaled to the sensor's own range. The range alone is worth"
+        f" {range_db:.1f} dB: against the declared model the upper crops average {printed_db:.1f} dB, at the sensor's"
+        f" range {sensor_range_db:.1f} dB, and registered {registered_db:.1f} dB."
+        f" {series.frames_text(averages[0], axes)}."
     )
     note = "In print the means are 53 to 58 dB, highest at 100 µs, with spreads of 0.7 to 3.4 dB."
     return style.Drawing(figure, caption + results.paper_note(note))
@@ -158,17 +214,6 @@ def _average_all_frames(statistics: series.LineStatistics) -> float:
     """Return the mean of a quantity over all frames: that of all points, weighted by their numbers of frames."""
     has_frames = statistics.frames > 0
     return float(np.average(statistics.mean[has_frames], weights=statistics.frames[has_frames]))
-
-
-def _equalize_spans(panels: np.ndarray) -> None:
-    """Set the ordinates of all panels to the largest of their spans, each around its own middle.
-
-    Equal distances on them then mean equal differences.
-    """
-    limits = [ax.get_ylim() for ax in panels]
-    span = max(high - low for low, high in limits)
-    for ax, (low, high) in zip(panels, limits, strict=True):
-        ax.set_ylim((low + high - span) / 2, (low + high + span) / 2)
 
 
 # Metrics of the paper.
