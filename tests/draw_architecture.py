@@ -81,7 +81,7 @@ STAGES = (
 # What a box is called where its rule has another name.
 TITLES = {"fit_simulated": "ingest · crop · fit"}
 # Rules that the picture leaves out, or shows as part of a stage.
-NOT_SHOWN = ("ingest_simulated", "crop_simulated", "flats", "chain", "tables")
+NOT_SHOWN = ("ingest_simulated", "crop_simulated", "flats", "tables")
 
 INK, FAINT, FILL, LINE = "#1a1a1a", "#555555", "#eef3f8", "#5b7a99"
 SANS = "font-family='DejaVu Sans, Verdana, Helvetica, sans-serif'"

@@ -62,7 +62,7 @@ def test_examples_run(prepared, capsys):
     """Those of all subcommands, one after another: each stage takes what those before it wrote."""
     stages = next(commands for title, commands in cli.GROUPS.items() if title.startswith("stages"))
     # The report shows what `chain` draws.
-    for name in dict.fromkeys(["chain", *stages, *cli.COMMANDS]):
+    for name in dict.fromkeys([*stages, *cli.COMMANDS]):
         for words in BEFORE.get(name, ()):
             cli.run(words.split())
         found = examples(name, capsys)

@@ -2,7 +2,6 @@
 
 import json
 import sys
-from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -12,14 +11,15 @@ import tifffile
 import xarray as xr
 
 from spotcheck.cli import main
-from spotcheck.errors import InputError
 from spotcheck.io.provenance import list_sources
 from spotcheck.metrics.crop_metrics import PER_IMAGE
+from spotcheck.model.stage import Stage
 from spotcheck.report import figures
-from spotcheck.report.figures import chain, every_figure, series, style
+from spotcheck.report.figures import every_figure, series, simulation_flow, style
 from spotcheck.report.figures.entry import Category
 from spotcheck.report.figures.results import Results, Unavailable
 from spotcheck.report.figures.write import write_all
+from spotcheck.report.pages.equations import find_equations
 from tests.samples.small_datasets import ROOT
 
 INSTRUMENT = """\
@@ -31,7 +31,9 @@ laser: {wavelength_m: 6.5e-7}
 """
 ANGLES, EXPOSURES, REPEATS = (0, 45), (1e-4, 5e-4), (0, 1, 2)
 # Pictures of a verdict, which these results have none of; test_discrepancy_figures.py draws them.
+# What no verdict was made for, and what its extended model gives.
 UNJUDGED = [entry.name for entry in every_figure() if entry.category is Category.MISSING]
+EXTENDED = [entry.name for entry in every_figure() if "extended/crops" in entry.needs]
 FLATS = [entry.name for entry in every_figure() if "transfer" in entry.needs]
 
 
@@ -107,9 +109,9 @@ def test_names_titles_and_inputs_of_the_registry():
     assert len(set(names)) == len(names)
     assert len({entry.title for entry in every_figure()}) == len(names)
     assert all(entry.needs and entry.category for entry in every_figure())
-    # Every figure of the paper's results that is a picture of data, and Fig. 5.
+    # Every figure of the paper from the set-up on.
     papers = {entry.paper for entry in every_figure()} - {None}
-    wanted = "5 7 8a 8b 8c 9a 9b 10a 10b 11 12 13a 13b".split()
+    wanted = "5 6 7 8a 8b 8c 9a 9b 10a 10b 11 12 13a 13b".split()
     assert papers == {f"Fig. {number}" for number in wanted}
 
 
@@ -156,7 +158,7 @@ def test_every_figure_is_drawn_or_skipped_with_a_reason(tiny, tmp_path):
     index = json.loads((tmp_path / "index.json").read_text())
     drawn, skipped = [r["name"] for r in index["figures"]], {r["name"]: r["why"] for r in index["skipped"]}
     assert sorted(drawn + list(skipped)) == sorted(entry.name for entry in every_figure())
-    assert set(skipped) == {"caustic", *UNJUDGED, *FLATS} and "z_m" in skipped["caustic"]
+    assert set(skipped) == {"caustic", *UNJUDGED, *EXTENDED, *FLATS} and "z_m" in skipped["caustic"]
     assert {skipped[name] for name in FLATS} == {"the manifest names no frame of kind flat or dark"}
     absent = {"missing-light": "light.nc is not among the results"}
     for name in UNJUDGED:
@@ -211,7 +213,7 @@ def test_figures_survive_every_shape_of_a_design(tiny, tmp_path, design):
             try:
                 drawing = entry.draw(results)
             except Unavailable as reason:
-                assert entry.name in ("caustic", *UNJUDGED, *FLATS), (entry.name, reason)
+                assert entry.name in ("caustic", *UNJUDGED, *EXTENDED, *FLATS), (entry.name, reason)
                 continue
             drawing.figure.draw_without_rendering()
             assert "nan" not in drawing.caption, (entry.name, drawing.caption)
@@ -281,82 +283,9 @@ def test_shades_of_the_series_differ_in_grey():
         assert len({line.marker for line in style.line_styles(count)}) == count
 
 
-DOT = """Building DAG of jobs...
-digraph snakemake_dag {
-    graph[bgcolor=white, margin=0];
-    node[shape=box, style=rounded];
-    0[label = "all", color = "0.1 0.6 0.85", style="rounded"];
-    1[label = "report", color = "0.1 0.6 0.85"];
-    2[label = "fit", color = "0.1 0.6 0.85"];
-    3[label = "crop", color = "0.1 0.6 0.85"];
-    4[label = "metrics", color = "0.1 0.6 0.85"];
-    3 -> 2
-    2 -> 4
-    3 -> 4
-    4 -> 1
-    1 -> 0
-    2 -> 0
-}
-"""
-
-
-def test_layers_of_the_chain_respect_its_edges():
-    graph = chain.parse_graph(DOT)
-    assert graph.labels == {"0": "all", "1": "report", "2": "fit", "3": "crop", "4": "metrics"}
-    depth = chain.find_depths(graph)
-    assert all(depth[a] < depth[b] for a, b in graph.edges)
-    assert [graph.labels[n] for n in sorted(depth, key=depth.__getitem__)] == [
-        "crop",
-        "fit",
-        "metrics",
-        "report",
-        "all",
-    ]
-    found = chain.find_layout(graph)
-    where = {node: k for k, layer in enumerate(found.layers) for node in layer}
-    for path in found.chains:
-        assert [where[n] for n in path] == list(range(where[path[0]], where[path[-1]] + 1))
-    assert chain.find_redundant_edges(graph) == {("3", "4"), ("2", "0")}
-
-
-def test_the_drawn_chain_does_not_follow_the_numbers_of_the_rules():
-    """Snakemake numbers the rules in the order of a set and lists the edges in another."""
-    lines = DOT.splitlines()
-    nodes, edges = lines[4:9], lines[9:15]
-    swapped = str.maketrans("01234", "34120")
-    renumbered = [line[:4] + line[4].translate(swapped) + line[5:] for line in nodes]
-    moved = [" -> ".join(end.strip().translate(swapped) for end in line.split("->")) for line in edges]
-    other = "\n".join([*lines[:4], *renumbered[::-1], *moved[2:], *moved[:2], "}"])
-    found = [chain.parse_graph(text) for text in (DOT, other)]
-    assert found[0].labels != found[1].labels
-    named = [[[graph.labels.get(n) for n in layer] for layer in chain.find_layout(graph).layers] for graph in found]
-    assert named[0] == named[1]
-    edges_by_name = [[(graph.labels[a], graph.labels[b]) for a, b in graph.edges] for graph in found]
-    assert edges_by_name[0] == edges_by_name[1]
-
-
-def test_barycentres_undo_a_crossing_and_nothing_overlaps():
-    graph = chain.Graph({n: n for n in "abcd"}, [("a", "d"), ("b", "c")])
-    found = chain.find_layout(graph)
-    links = [pair for path in found.chains for pair in pairwise(path)]
-    assert chain.count_crossings([["a", "b"], ["c", "d"]], links) == 1
-    assert chain.count_crossings(found.layers, links) == 0
-    sizes = dict.fromkeys("abcd", 1.0)
-    at = chain.place_nodes(graph, found, sizes)
-    for layer in found.layers:
-        assert np.diff([at[n] for n in layer]).min() >= 1.0 + chain.GAP - 1e-9
-
-
-def test_a_circle_and_an_empty_graph_are_told_to_the_user():
-    with pytest.raises(InputError, match="circle"):
-        chain.parse_graph("a -> b\nb -> a")
-    with pytest.raises(InputError, match="names no rule"):
-        chain.parse_graph("Building DAG of jobs...")
-
-
-def test_chain_is_drawn_twice_alike(tmp_path):
-    (tmp_path / "rules.dot").write_text(DOT)
-    for name in ("one", "two"):
-        main(["chain", str(tmp_path / "rules.dot"), "--output", str(tmp_path / name)])
-    for kind in style.FORMATS:
-        assert (tmp_path / f"one.{kind}").read_bytes() == (tmp_path / f"two.{kind}").read_bytes()
+def test_the_flow_of_the_simulation_names_every_stage_and_equation():
+    """Each stage of the model stands at one step, in their order; the paper's equations of the flow are named."""
+    stages = [stage for step in simulation_flow.STEPS for stage in step.stages]
+    assert stages == list(Stage)
+    numbers = find_equations(" ".join(step.number for step in simulation_flow.STEPS))
+    assert {7, 8, *range(9, 17), 20, 21, 22, *range(23, 29), 30, 31, 39, 40} <= numbers

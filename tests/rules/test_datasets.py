@@ -36,8 +36,8 @@ def test_each_dataset_gets_the_stages_that_it_can_have(flats, tmp_path):
     run = plan([SAMPLE, twin, flats], tmp_path / "results")
     jobs = planned(run.stdout)
     assert run.returncode == 0, run.stdout + run.stderr
-    assert {name: jobs[name] for name in ("ingest", "report", "figures", "chain")} == dict.fromkeys(
-        ("ingest", "report", "figures", "chain"), 3
+    assert {name: jobs[name] for name in ("ingest", "report", "figures")} == dict.fromkeys(
+        ("ingest", "report", "figures"), 3
     )
     assert (jobs["fit"], jobs["caustic"], jobs["judge"]) == (2, 2, 2)
     assert (jobs["transfer"], jobs["flats"]) == (1, 1)

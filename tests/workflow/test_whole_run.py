@@ -19,7 +19,7 @@ from tests.conftest import ROOT, environment, planned, snakemake
 
 def test_everything_comes_out(small_run):
     """Report, figures, tables, notebooks and every intermediate result."""
-    for name in ("report.html", "figures/index.json", "chain/fig06.svg", "docs/equations.html", "docs/symbols.html"):
+    for name in ("report.html", "figures/index.json", "figures/fig06.svg", "docs/equations.html", "docs/symbols.html"):
         assert (small_run / name).stat().st_size > 0, name
     index = json.loads((small_run / "figures" / "index.json").read_text())
     papers = {f["paper"] for f in index["figures"]}
@@ -123,6 +123,6 @@ def test_default_dataset_is_planned_whole():
     run = snakemake("--dry-run", "--forceall")
     assert run.returncode == 0, run.stdout + run.stderr
     jobs = planned(run.stdout + run.stderr)
-    assert {"expose", "paper", "report", "chain", "tables"} <= set(jobs)
+    assert {"expose", "paper", "report", "extended", "tables"} <= set(jobs)
     assert jobs["notebook"] == 3
     assert all(n == 1 for name, n in jobs.items() if name != "notebook")

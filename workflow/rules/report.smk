@@ -42,7 +42,6 @@ rule report:
         paper_tables,
         views,
         figures=rules.figures.output,
-        chain=rules.chain.output,
     output:
         report(
             f"{OUT}/report.html",

@@ -59,7 +59,6 @@ GROUPS = {
     "the paper, and pages of the documentation": {
         "paper": "compare the paper's numbers with those of the workflow",
         "equations": "write tables of equations and symbols from the docstrings",
-        "chain": "draw the rule graph of the workflow",
         "effects": "write the page of effects from the effects' own files",
     },
 }

@@ -122,7 +122,7 @@ def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
 
 
 def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
-    """Return a curve for each metric of the crops, measured and simulated by both models: mean and standard deviation of frames."""
+    """Return a curve for each metric of the crops of all sources: mean and standard deviation over frames."""
     if "metrics" not in files:
         return []
     ds, extended = files["metrics"].sel(centring="light"), files.get("extended_metrics")

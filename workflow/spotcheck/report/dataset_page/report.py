@@ -60,7 +60,6 @@ def write_report(dataset: Dataset, results: Path, path: Path) -> None:
         "facts": tables.summarize_frames(stages["frames"]),
         "remarks": [(name, text) for name, ds in stages.items() for text in store.remarks_of(ds)],
         "light": describe_light(stages.get("light"), verdict, dataset),
-        "chain": _embed_picture(results / "chain", "fig06"),
         "code_versions": [(name, ds.attrs.get("code_version", "")) for name, ds in stages.items()],
         **_describe_verdict(verdict, citations),
         **_tabulate_results(dataset, available, citations),

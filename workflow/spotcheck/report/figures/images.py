@@ -8,7 +8,7 @@ from matplotlib.patches import Rectangle
 from scipy import ndimage
 
 from spotcheck.report.figures import style
-from spotcheck.report.figures.entry import PAIR, Category, Entry
+from spotcheck.report.figures.entry import EXTENDED, PAIR, Category, Entry
 from spotcheck.report.figures.frame_pairs import FramePair, find_pair
 from spotcheck.report.figures.results import Results, Unavailable
 
@@ -110,5 +110,5 @@ FIGURES = (
     Entry("fig08a", "Simulated spot", Category.IMAGES, PAIR, partial(draw_frame, source="Simulated"), "Fig. 8a"),
     Entry("fig08b", "Measured spot", Category.IMAGES, PAIR, partial(draw_frame, source="Measured"), "Fig. 8b"),
     Entry("fig08c", "Measured and simulated spot superposed", Category.IMAGES, PAIR, draw_superposition, "Fig. 8c"),
-    Entry("fig08d", "Spot of the extended model", Category.IMAGES, PAIR, partial(draw_frame, source="Extended")),
+    Entry("fig08d", "Spot of the extended model", Category.IMAGES, EXTENDED, partial(draw_frame, source="Extended")),
 )
