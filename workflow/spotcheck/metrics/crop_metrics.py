@@ -3,7 +3,8 @@
 `PER_IMAGE` lists the metrics of a single crop. Each is computed for measured and simulated frames, stored in metrics.nc
 with its mean and standard deviation over repeats, and drawn in the report.
 
-Images are arrays [rows, columns] in DN, with their black level; NaN pixels are ignored.
+Images are arrays [row, column] in DN, from which the black level is not subtracted. NaN pixels are ignored, except by
+`mean_of_frames`.
 """
 
 from collections.abc import Callable
@@ -16,11 +17,11 @@ from skimage.metrics import peak_signal_noise_ratio
 # Largest value of the 16-bit container [DN], to which the paper scales PSNR. The sensor fills 10 bits of it, so that
 # PSNR is 36.1 dB larger than with the range of the sensor.
 CONTAINER_RANGE = 65535.0
-# Peak pixels lie within the first fraction of the maximum below it; plateau pixels exceed the second fraction of it
+# Peak pixels are at most this share of the maximum below it, and plateau pixels are above this share of the maximum
 # (Section 6.2).
 PEAK_WITHIN = 0.02
 PLATEAU_ABOVE = 0.5
-# Largest share of undefined pixels [1] that rounding alone gives a shifted pixel.
+# Share of undefined pixels [1] in a shifted pixel that still counts as zero, since rounding alone can cause it.
 ROUNDING_ERROR = 1e-9
 
 
@@ -35,16 +36,19 @@ def pixel_sum(image: np.ndarray) -> float:
 
 
 def speckle_contrast(image: np.ndarray) -> float:
-    """Return C_s, the population standard deviation of all pixels divided by their mean (Eq. 2); NaN without light."""
+    """Return C_s [1], the population standard deviation of all pixels divided by their mean (Eq. 2).
+
+    NaN if the mean is not above 0.
+    """
     mean = float(np.nanmean(image, dtype=np.float64))
     return float(np.nanstd(image, dtype=np.float64)) / mean if mean > 0 else np.nan
 
 
 def mean_of_frames(frames: np.ndarray) -> float:
-    """Return µ_y [DN], the mean over all pixels of several frames [frame, rows, columns] (Eq. 17).
+    """Return µ_y [DN], the mean over all pixels of several frames [frame, row, column] in DN (Eq. 17).
 
-    The paper prints the factor 1/(KMN + 1) for K frames of M × N pixels; a mean has 1/(KMN). A NaN pixel makes the
-    result NaN, as these are whole frames, which have none.
+    The paper prints the factor 1/(KMN + 1) for K frames of M × N pixels; a mean has 1/(KMN). Whole frames have no NaN
+    pixels, so NaN is not ignored here: a NaN pixel makes the result NaN.
     """
     return float(np.mean(frames, dtype=np.float64))
 
@@ -60,9 +64,9 @@ def mean_sum(sums: np.ndarray) -> float:
 
 
 def peak_ratio(image: np.ndarray) -> float:
-    """Return the ratio [1] of two counts of pixels: within 2 % of the maximum, and above half of it (Section 6.2).
+    """Return the number of peak pixels divided by the number of plateau pixels [1] (Section 6.2).
 
-    NaN for an image without light.
+    Peak pixels are within 2 % of the maximum, plateau pixels above half of it. NaN if the maximum is not above 0.
     """
     maximum = np.nanmax(image)
     if not maximum > 0:
@@ -73,15 +77,14 @@ def peak_ratio(image: np.ndarray) -> float:
 def psnr(reference: np.ndarray, image: np.ndarray, data_range: float) -> float:
     """Return the peak signal-to-noise ratio [dB] of two images of one shape, over the pixels that are finite in both.
 
-    It is 10 log10(`data_range`² / mean squared difference), with the range in DN.
-
-    Equal images give infinity, images without a common pixel NaN.
+    It is 10 log10(`data_range`² / mean squared difference), with the range in DN. Equal images give infinity, images
+    without a common finite pixel NaN.
     """
     common = np.isfinite(reference) & np.isfinite(image)
     if not common.any():
         return np.nan
     expected, actual = reference[common].astype(float), image[common].astype(float)
-    # The mean squared error is 0, by which scikit-image would divide.
+    # scikit-image would divide by the mean squared difference, which is 0.
     if np.array_equal(expected, actual):
         return np.inf
     return float(peak_signal_noise_ratio(expected, actual, data_range=data_range))
@@ -90,14 +93,16 @@ def psnr(reference: np.ndarray, image: np.ndarray, data_range: float) -> float:
 def shift_image(image: np.ndarray, row_shift: float, column_shift: float) -> np.ndarray:
     """Return an image moved by two shifts [px] towards larger rows and columns, by cubic interpolation.
 
-    Pixels are NaN where the moved image needs pixels beyond its edge, in a NaN gap or next to one.
+    A pixel of the result is NaN if it is interpolated from a place beyond the edge of `image`, or within one pixel of a
+    gap, a pixel that is not finite.
     """
     gaps, shift = ~np.isfinite(image), (row_shift, column_shift)
     # Gaps are filled with the nearest pixel first: a step to 0 would make the splines ring.
-    nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
-    moved = ndimage.shift(image[tuple(nearest)].astype(float), shift, order=3, mode="nearest")
-    # Pixels further from a gap keep their value: it depends little on a gap that is filled with the nearest pixel.
+    nearest_index = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
+    moved = ndimage.shift(image[tuple(nearest_index)].astype(float), shift, order=3, mode="nearest")
+    # Cubic splines reach further than one pixel, but the filled gap changes those pixels little: they stay defined.
     near_gap = ndimage.binary_dilation(gaps) if gaps.any() else gaps
+    # Share of each moved pixel [1] that comes from beyond the edge or from near a gap.
     undefined_share = ndimage.shift(near_gap.astype(float), shift, order=1, mode="constant", cval=1.0)
     return np.where(undefined_share > ROUNDING_ERROR, np.nan, moved)
 
@@ -108,7 +113,7 @@ class Metric(NamedTuple):
     name: str  # variable of metrics.nc
     units: str  # unit of the values
     long_name: str  # meaning, as axis label and netCDF attribute
-    function: Callable[[np.ndarray], float]  # of a crop [y, x] in DN, NaN beyond the frame
+    function: Callable[[np.ndarray], float]  # function of a crop [row, column] in DN, NaN beyond the frame
 
 
 PER_IMAGE = (

@@ -1,8 +1,11 @@
 """The metrics stage: compute the metrics of measured and simulated crops by the same functions (metrics.nc).
 
-The grid has a dimension for each axis of the dataset: angle, exposure, repeat and declared conditions. crops.nc has two
-crops of each cell, along the dimension `centring`: "light" around the centroid of the light, "maximum" around the
-brightest pixel.
+The grid has a dimension for each axis of the dataset: angle, exposure, repeat and declared conditions. A condition is a
+cell of the grid without its repeat. crops.nc has two crops of each cell, along the dimension `centring`: "light" around
+the centroid of the light, "maximum" around the brightest pixel. `top` and `left` are the place of a crop on the sensor.
+A crop is usable if its `status`, an integer of flags (bits), has none of `store.UNUSABLE`. fits.nc has a fit of each
+crop by each method along the dimension `fit`: "least_squares" or "likelihood". Its attribute `preferred` names the
+method that later stages use, in the crops centred on the light (`select_preferred_fits`).
 """
 
 from collections.abc import Callable
@@ -19,7 +22,7 @@ from spotcheck.io import progress, store
 from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE, psnr, shift_image
 
 SOURCES = ("measured", "simulated")
-# Parameters that are copied from fits.nc → unit.
+# Fit parameters that are copied from fits.nc → unit.
 FIT_PARAMETERS = {"amplitude": "DN", "sigma_mean": "pixel"}
 # How the simulated crop is aligned with the measured one for PSNR: both are cut around their maximum, or the simulated
 # one is shifted so that the fitted centres agree.
@@ -27,10 +30,9 @@ REGISTRATIONS = ("maximum", "fitted")
 # Ranges to which PSNR is scaled: 65535 DN of the 16-bit container, or the largest reading of the sensor.
 DATA_RANGES = ("container", "sensor")
 
-
 # Position along each dimension of the grid.
 Index = dict[str, int]
-# Finds the frame that a measured frame is compared with; None if there is none.
+# Function from the index of a measured frame to that of the frame it is compared with; None if there is none.
 FindPartner = Callable[[Index], Index | None]
 
 
@@ -45,14 +47,18 @@ class FrameSource(NamedTuple):
         return all(is_usable(status) for status in self.crops["status"].isel(index).values)
 
     def spot_at(self, index: Index) -> tuple[np.ndarray, np.ndarray]:
-        """Return the crop of a frame centred on the light [y, x] in DN, and its fitted centre (row, column) [px]."""
+        """Return the crop of a frame centred on the light [y, x] in DN, and its fitted centre (row, column).
+
+        The centre is that of the preferred fit [px from the centre of the first pixel of the crop]; NaN without a fit.
+        """
         crop, fit = self.crops.sel(centring="light").isel(index), select_preferred_fits(self.fits).isel(index)
+        # Fitted centres are positions on the sensor.
         centre = (float(fit["y_centre"]) - float(crop["top"]), float(fit["x_centre"]) - float(crop["left"]))
         return crop["image"].values, np.array(centre)
 
 
 def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], full_scale: float) -> xr.Dataset:
-    """Return the metrics of measured and simulated crops, PSNR between them, and averages over repeats.
+    """Return metrics.nc: metrics of measured and simulated crops, PSNR between them, and averages over repeats.
 
     Parameters
     ----------
@@ -64,10 +70,13 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
     Returns
     -------
     Dataset
-        Contents of metrics.nc: metrics [source, grid..., centring], fit parameters and status [source, grid...,
-        centring, fit], and PSNR [grid..., registration, data_range] of measured against simulated frames (`psnr`) and
-        against the next measured repeat of the same condition (`psnr_repeats`, NaN if there is none). All but the
-        status also have NAME_mean and NAME_sd, the mean and the standard deviation (n − 1) over repeats.
+        - each metric of `PER_IMAGE` [source, grid..., centring]; NaN for an unusable crop.
+        - each of `FIT_PARAMETERS`, and `status` of the fits [source, grid..., centring, fit].
+        - `psnr` [grid..., registration, data_range] in dB: a measured frame against the simulated one.
+        - `psnr_repeats`, of the same shape: a measured frame against the next measured repeat; NaN without one.
+        - NAME_mean and NAME_sd of each but the status: mean and standard deviation (n − 1) over repeats.
+
+        The attributes title, dataset, not_recorded and preferred are copied.
 
     Raises
     ------
@@ -91,26 +100,32 @@ def compute_metrics(crops: dict[str, xr.Dataset], fits: dict[str, xr.Dataset], f
     values = np.stack([_measure_crops(crops[source], dims, source) for source in SOURCES])
     for k, metric in enumerate(PER_IMAGE):
         add_variable(ds, metric.name, ("source", *dims), values[..., k], metric.units, metric.long_name)
-    ds["fit"] = fits["measured"]["fit"]
-    attributes = {
-        name: {"units": units, "long_name": str(fits["measured"][name].attrs["long_name"])}
-        for name, units in FIT_PARAMETERS.items()
-    }
-    for name, attrs in (attributes | {"status": store.status_attributes()}).items():
-        both = [fits[source][name].transpose(*dims, "fit").values for source in SOURCES]
-        ds[name] = (("source", *dims, "fit"), np.stack(both), attrs)
+    _copy_fits(ds, fits, dims)
     frames = {source: FrameSource(crops[source], fits[source]) for source in SOURCES}
-    others = {
+    # Variable → words, frames with which measured ones are compared, and how the partner of a frame is found.
+    comparisons = {
         "psnr": ("measured against simulated", frames["simulated"], lambda index: index),
         "psnr_repeats": ("a measured frame against the next repeat", frames["measured"], _next_repeat(measured, grid)),
     }
-    for name, (text, other, find_partner) in others.items():
+    for name, (text, other, find_partner) in comparisons.items():
         values = _compute_psnr(frames["measured"], other, find_partner, grid, full_scale)
         text = f"peak signal-to-noise ratio of {text}"
         add_variable(ds, name, (*grid, "registration", "data_range"), values, "dB", text)
         # Explains infinite values to readers of the file.
         ds[name].attrs["infinite"] = "both frames are alike to the last digit"
     return _add_averages(ds).assign_attrs(preferred=fits["measured"].attrs["preferred"])
+
+
+def _copy_fits(ds: xr.Dataset, fits: dict[str, xr.Dataset], dims: tuple[str, ...]) -> None:
+    """Add `FIT_PARAMETERS` and the status of all fits [source, dims..., fit] to `ds`; `dims` are grid and centring."""
+    measured = fits["measured"]
+    ds["fit"] = measured["fit"]
+    for name in (*FIT_PARAMETERS, "status"):
+        both = np.stack([fits[source][name].transpose(*dims, "fit").values for source in SOURCES])
+        attrs = store.status_attributes()
+        if name != "status":
+            attrs = {"units": FIT_PARAMETERS[name], "long_name": str(measured[name].attrs["long_name"])}
+        ds[name] = (("source", *dims, "fit"), both, attrs)
 
 
 def _measure_crops(crops: xr.Dataset, dims: tuple[str, ...], source: str) -> np.ndarray:
@@ -129,15 +144,20 @@ def _measure_crops(crops: xr.Dataset, dims: tuple[str, ...], source: str) -> np.
 
 
 def _next_repeat(crops: xr.Dataset, grid: tuple[str, ...]) -> FindPartner:
-    """Return a function from the index of a usable frame to that of the next usable repeat, cyclic; None if alone."""
+    """Return a function from the index of a usable frame to that of the next usable repeat of its condition.
+
+    The first repeat follows the last one. The function returns None for the only usable repeat. `crops` are those of
+    the measured frames, `grid` the dimensions of the grid.
+    """
     usable = (crops["status"] & store.UNUSABLE == 0).all("centring").transpose(*grid)
 
     def find_partner(index: Index) -> Index | None:
-        condition = {dim: position for dim, position in index.items() if dim != "repeat"}
-        repeats = np.flatnonzero(usable.isel(condition).values)
+        """Return the index of the next usable repeat, or None; the frame at `index` must be usable itself."""
+        condition_index = {dim: position for dim, position in index.items() if dim != "repeat"}
+        repeats = np.flatnonzero(usable.isel(condition_index).values)
         later = repeats[repeats > index["repeat"]]
         partner = int(later[0] if later.size else repeats[0])
-        return None if partner == index["repeat"] else condition | {"repeat": partner}
+        return None if partner == index["repeat"] else condition_index | {"repeat": partner}
 
     return find_partner
 
@@ -147,8 +167,9 @@ def _compute_psnr(
 ) -> np.ndarray:
     """Return PSNR [grid..., registration, data range] in dB between each measured frame and its partner in `other`.
 
-    The data ranges are those of the container and `full_scale` [DN]. NaN unless the crops of both frames are usable in
-    every centring, and for "fitted" unless both have a fit.
+    `find_partner` gives the index of the partner, or None. The data ranges are that of the container and `full_scale`
+    [DN], the largest reading of the sensor. NaN without a partner, if a crop of either frame is not
+    usable in every centring, and for "fitted" if either has no fit.
     """
     values = np.full((*(measured.crops.sizes[dim] for dim in grid), len(REGISTRATIONS), len(DATA_RANGES)), np.nan)
     for index in iterate_cells(measured.crops, grid):
@@ -161,24 +182,26 @@ def _compute_psnr(
             source.crops["image"].sel(centring="maximum").isel(cell).values
             for source, cell in ((measured, index), (other, partner))
         ]
+        # Pairs of images in the order of `REGISTRATIONS`.
         for k, images in enumerate((at_maximum, _align_centres(measured.spot_at(index), other.spot_at(partner)))):
             if images is not None:
-                reference, image = images
-                ratios = [psnr(image, reference, data_range) for data_range in (CONTAINER_RANGE, full_scale)]
-                values[(*index.values(), k)] = ratios
+                values[(*index.values(), k)] = [
+                    psnr(*images, data_range) for data_range in (CONTAINER_RANGE, full_scale)
+                ]
     return values
 
 
 def _align_centres(
-    reference: tuple[np.ndarray, np.ndarray], moved: tuple[np.ndarray, np.ndarray]
+    reference: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]
 ) -> list[np.ndarray] | None:
     """Return two images [y, x], the second shifted so that its fitted centre lies on that of the first.
 
-    Each argument is an image and its fitted centre (row, column) [px of the image]. None unless both have a fit.
+    Each argument is an image and its fitted centre (row, column) [px of the image]. None unless both have a fit; the
+    centre of an image without one is NaN.
     """
-    (image, centre), (moved_image, moved_centre) = reference, moved
-    shift = centre - moved_centre
-    return [image, shift_image(moved_image, *map(float, shift))] if np.isfinite(shift).all() else None
+    (image, centre), (other_image, other_centre) = reference, other
+    shift = centre - other_centre
+    return [image, shift_image(other_image, *map(float, shift))] if np.isfinite(shift).all() else None
 
 
 def _add_averages(ds: xr.Dataset) -> xr.Dataset:

@@ -1,8 +1,9 @@
 """Compare the paper's six metrics of measured frames with those of frames simulated by two models.
 
-The declared model is the paper's, with p1 and p2 of the calibration. The extended model has the effects that the
-verdict added. A mean is that over the repeats of a condition. Measured means are those of held-out repeats if the
-dataset has some, so that nothing was selected or fitted by them.
+The declared model is the paper's; the parameters of its width, p_b = p1 ln t + p2 over the exposure t, come from the
+calibration. The extended model also has the effects that the verdict added. A condition is an angle, an exposure and
+a value of each declared condition; a mean is over its repeats. Measured means are over held-out repeats if the dataset
+has some: no effect was selected or fitted with them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,11 +14,10 @@ import xarray as xr
 
 from spotcheck.dataset.conditions import held_out_repeats
 
-# Columns before and after those of conditions that the instrument declares.
+# Columns of model_comparison.csv before and after those of conditions that the instrument declares.
 FIRST_COLUMNS = ("metric", "angle_deg", "exposure_s")
 LAST_COLUMNS = ("measured", "measured_sd", "declared", "extended")
-# Variable of metrics.nc → name of the metric with its unit; PSNR is that of crops around the maximum in the range of
-# the container, and the fit is that of least squares, as in the paper.
+# Variable of metrics.nc → name of the metric with its unit.
 METRICS = {
     "psnr": "psnr_db",
     "speckle_contrast": "speckle_contrast",
@@ -26,12 +26,9 @@ METRICS = {
     "sigma_mean": "width_px",
     "sum": "sum_dn",
 }
-PAPER_CHOICE = {
-    "centring": "maximum",
-    "fit": "least_squares",
-    "registration": "maximum",
-    "data_range": "container",
-}
+# Dimension of metrics.nc → label of the paper's choice: crops around the maximum, not shifted for PSNR, fits by least
+# squares, and PSNR for the range of the 16-bit container.
+PAPER_CHOICE = {"centring": "maximum", "fit": "least_squares", "registration": "maximum", "data_range": "container"}
 
 
 @dataclass(frozen=True)
@@ -39,16 +36,19 @@ class ComparedMetric:
     """A metric in one condition."""
 
     metric: str  # value of `METRICS`
-    conditions: dict[
-        str, float
-    ]  # angle [degree], exposure [s] and declared conditions that were recorded, by dimension
-    measured: float  # mean over held-out measured repeats, or over all
+    # Dimension → value: angle [degree], exposure [s] and declared conditions, without those that were not recorded.
+    conditions: dict[str, float]
+    # The values below are in the unit of the metric, NaN if unknown.
+    measured: float  # mean over held-out measured repeats; over all if none is held out
     measured_sd: float  # standard deviation over all measured repeats (n − 1)
     declared: float  # mean over repeats simulated by the declared model
     extended: float  # mean over repeats simulated by the extended model
 
     def distances(self) -> tuple[float, float]:
-        """Return how far declared and extended model are from the measured mean, in standard deviations of repeats."""
+        """Return how far declared and extended model are from the measured mean, in units of `measured_sd` [1].
+
+        Both are NaN if the measured standard deviation is 0 or unknown.
+        """
         if not self.measured_sd > 0:
             return np.nan, np.nan
         declared, extended = (abs(value - self.measured) for value in (self.declared, self.extended))
@@ -58,16 +58,18 @@ class ComparedMetric:
 def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedMetric]:
     """Return each metric in each condition, of measured frames and of both simulations.
 
-    PSNR compares a simulated frame with the measured one. Its measured values compare repeats of a condition, since new
-    speckle lowers PSNR even for a true model.
+    The PSNR of a model is that between measured and simulated frames. The measured PSNR is that between two measured
+    repeats of a condition, which differ in speckle as a simulated frame does even if its model is true.
 
     Parameters
     ----------
     declared, extended : Dataset
-        metrics.nc of the measured frames with those of the declared and of the extended model.
+        Contents of metrics.nc for the same measured frames; the simulated frames are those of the declared model in
+        one, and of the extended model in the other.
     """
     rows = []
     for variable, metric in METRICS.items():
+        # Values of measured frames, then of both simulations [grid..., and dimensions of `PAPER_CHOICE`].
         if variable == "psnr":
             series = (declared["psnr_repeats"], declared["psnr"], extended["psnr"])
         else:
@@ -76,12 +78,13 @@ def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedM
                 declared[variable].sel(source="simulated"),
                 extended[variable].sel(source="simulated"),
             )
-        values = [_choose_as_paper(values) for values in series]
-        dims = [str(dim) for dim in values[0].dims if dim != "repeat"]
-        for index in _iterate_conditions(values[0], dims):
-            measured, *simulated = (array.isel(index).values.astype(float) for array in values)
+        on_grid = [_choose_as_paper(values) for values in series]
+        dims = [str(dim) for dim in on_grid[0].dims if dim != "repeat"]
+        for index in _iterate_conditions(on_grid[0], dims):
+            measured, *simulated = (values.isel(index).values.astype(float) for values in on_grid)
             is_held_out = held_out_repeats(np.arange(len(measured)))
             tested = measured[is_held_out] if np.isfinite(measured[is_held_out]).any() else measured
+            # Dimensions without a coordinate were not recorded.
             conditions = {dim: float(declared[dim][k]) for dim, k in index.items() if dim in declared.coords}
             means = (_finite_mean(sample) for sample in simulated)
             rows.append(ComparedMetric(metric, conditions, _finite_mean(tested), _finite_sd(measured), *means))
@@ -89,7 +92,10 @@ def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedM
 
 
 def summarise_comparison(rows: Sequence[ComparedMetric]) -> dict[str, tuple[float, float]]:
-    """Return the mean distance over conditions of declared and extended model, by metric; NaN if it is unknown."""
+    """Return for each metric the mean distances of declared and extended model [1] over conditions; NaN if unknown.
+
+    Distances are those of `ComparedMetric.distances`; conditions where they are NaN are left out.
+    """
     distances: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
         distances.setdefault(row.metric, []).append(row.distances())
@@ -112,12 +118,12 @@ def comparison_csv(rows: Sequence[ComparedMetric]) -> str:
 
 
 def _choose_as_paper(values: xr.DataArray) -> xr.DataArray:
-    """Return the values on the grid alone, with `PAPER_CHOICE` along all other dimensions."""
+    """Return the values on the grid [grid...], those of `PAPER_CHOICE` along all other dimensions."""
     return values.sel({dim: label for dim, label in PAPER_CHOICE.items() if dim in values.dims})
 
 
 def _iterate_conditions(values: xr.DataArray, dims: Sequence[str]) -> Iterator[dict[str, int]]:
-    """Yield the index of each condition with a measured frame."""
+    """Yield the index {dimension: position} of each condition in which `values` [dims..., repeat] has a finite one."""
     for position in np.ndindex(*(values.sizes[dim] for dim in dims)):
         index = dict(zip(dims, position, strict=True))
         if np.isfinite(values.isel(index)).any():

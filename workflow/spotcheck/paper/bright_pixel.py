@@ -1,13 +1,15 @@
 """The bound of Fig. 13 as the paper seems to have computed it: the information of the brightest pixel alone.
 
-The mean of the brightest pixel is ν = a µ_p,max/σ_g² (Eq. 28) with a number of photons that follows µ_p,max ∝ p_b² (Eq.
-13). The Fisher information of a Poisson variable is 1/ν (Eq. 36), so that the diagonal of Eq. 37 gives
+The mean of the brightest pixel is ν = a µ_p,max/σ_g² (Eq. 28) with a constant a. µ_p,max, the number of photons,
+follows p_b² (Eq. 13), where p_b = p1 ln(t/1 s) + p2 is the beam propagation at an exposure t (Eq. 8). The width σ_g of
+the spot is p_b plus the laser's own width (Eq. 7). The Fisher information of a Poisson variable about its mean is 1/ν
+(Eq. 36), so that the diagonal of Eq. 37 gives
 
     Var(µ_p,max) = σ_g² µ_p,max / a ∝ p_b² σ_g²,    Var(σ_g) = σ_g⁴ / (4 a µ_p,max) ∝ σ_g⁴ / p_b².
 
-With p1 and p2 in px, both ratios of the largest to the smallest value agree with the print between 1 µs and 1 s. Their
-absolute scale depends on a, which does not follow from the print. It is not a bound for both parameters together: one
-pixel cannot determine two.
+With p1 and p2 in px, the ratio of the largest to the smallest value between 1 µs and 1 s agrees with the print for both
+variances. Their absolute scale depends on a, which does not follow from the print. They are no bound for both
+parameters together: one pixel cannot determine two.
 """
 
 import numpy as np
@@ -23,31 +25,32 @@ SHORTEST_S, LONGEST_S, POINTS = 1e-6, 1.0, 601
 
 
 def relative_variances(propagation_px: np.ndarray, sigma_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variances of µ_p,max and σ_g, each in units of an unknown constant.
+    """Return the variances of µ_p,max and σ_g [exposure], each divided by an unknown constant: p_b² σ_g² and σ_g⁴/p_b².
 
     Parameters
     ----------
-    propagation_px : beam propagation p_b [px] (Eq. 8); positive.
-    sigma_px : width σ_g of the spot [px] (Eq. 7).
+    propagation_px : beam propagation p_b [exposure] in px (Eq. 8); positive.
+    sigma_px : width σ_g of the spot [exposure] in px (Eq. 7).
     """
     return (propagation_px * sigma_px) ** 2, sigma_px**4 / propagation_px**2
 
 
 def variance_over_exposure(results: Results) -> tuple[np.ndarray, np.ndarray]:
-    """Return the relative variances of µ_p,max and σ_g [exposure] with the printed p1 and p2, from 1 µs to 1 s."""
+    """Return `relative_variances` [exposure] with the printed p1 and p2, at exposures that ascend from 1 µs to 1 s."""
     exposure_s = np.geomspace(SHORTEST_S, LONGEST_S, POINTS)
     propagation_px = propagation.beam_propagation(exposure_s, PRINTED_P1_PX, PRINTED_P2_PX)
+    # The laser's own width on the sensor.
     laser_px = of_instrument(results.dataset.instrument, exposure_s).laser_px
     return relative_variances(propagation_px, propagation.spot_sigma(propagation_px, laser_px))
 
 
 def variance_peak_ratio(results: Results) -> float:
-    """Return the largest over the smallest variance of µ_p,max [1]."""
+    """Return the largest divided by the smallest variance of µ_p,max from 1 µs to 1 s [1]."""
     variance, _ = variance_over_exposure(results)
     return float(variance.max() / variance.min())
 
 
 def variance_sigma_ratio(results: Results) -> float:
-    """Return the largest over the smallest variance of σ_g [1]."""
+    """Return the largest divided by the smallest variance of σ_g from 1 µs to 1 s [1]."""
     _, variance = variance_over_exposure(results)
     return float(variance.max() / variance.min())

@@ -1,6 +1,7 @@
 """The paper's numbers that follow from the inputs alone.
 
-`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml.
+`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml. Keys are those
+of instrument.yaml in SI units. frames.nc has the number of rows and columns of a frame.
 """
 
 import math
@@ -25,7 +26,7 @@ def magnification(results: Results) -> float:
 
 
 def _sensor_side_mm(results: Results, axis: str) -> float:
-    """Return the length of a side of the sensor [mm]; `axis` is "columns" or "rows", which frames.nc counts."""
+    """Return the length of a side of the sensor [mm], its pixels times their pitch; `axis` is "columns" or "rows"."""
     return 1e3 * float(results.open_file("frames")[axis]) * results.require_key("sensor.pixel_pitch_m")
 
 
@@ -108,48 +109,48 @@ def grain_in_pixels(results: Results) -> float:
 
 def contrast_increase(results: Results) -> float:
     """Return by how much the speckle contrast exceeds that of a grain of one pixel [%] (Eq. 5)."""
-    # The paper counts speckle regions along one axis only; the pixel is 1/grain of a region wide.
+    # The paper counts speckle regions along one axis only: a pixel is 1/`grain_in_pixels` of a region wide.
     return 100 * (optics.contrast_of_regions(1 / grain_in_pixels(results)) - 1)
 
 
 def fraunhofer(results: Results) -> float:
-    """Return the Fraunhofer number d_f²/(d_w λ) [1] of the gap d_f between filaments (Eq. 6)."""
+    """Return the Fraunhofer number d_f²/(d_w λ) [1] of filaments, gap d_f, at working distance d_w (Eq. 6)."""
     return optics.fraunhofer_number(
         FILAMENT_GAP_M, results.require_key("optics.working_distance_m"), results.require_key("laser.wavelength_m")
     )
 
 
 def rounding_variance(results: Results) -> float:
-    """Return the variance of the error of rounding to whole DN [DN²]."""
+    """Return the variance of the error of rounding to whole DN [DN²]; it does not depend on the results."""
     return ROUNDING_VARIANCE
 
 
 def top_hat_level(results: Results) -> float:
-    """Return the level of the plateau divided by the peak of the Gaussian that the top hat cuts [1] (Eq. 40)."""
+    """Return the level to which the top hat cuts the spot, divided by the peak of its Gaussian [1] (Eq. 40)."""
     return float(spot.top_hat_level(1.0))
 
 
 def fill_factor(results: Results) -> float:
-    """Return the width of a pixel divided by the printed width of the sensor per column [%]."""
+    """Return the fill factor along a row [%]: the pixel pitch over the printed width of the sensor per column."""
     pitch_mm = 1e3 * results.require_key("sensor.pixel_pitch_m")
     return 100 * pitch_mm / (PRINTED_SENSOR_WIDTH_MM / float(results.open_file("frames")["columns"]))
 
 
 def exposure_step(results: Results) -> float:
-    """Return the mean difference between neighbouring exposures [µs]."""
+    """Return the mean step from one exposure of the dataset to the next longer one [µs]."""
     return 1e6 * float(results.metrics["exposure"].diff("exposure").mean())
 
 
 def crop_side(results: Results) -> float:
-    """Return the side of the square crops [px]."""
+    """Return the side of the square crops of crops.nc [px]."""
     return float(results.open_file("crops").sizes["x"])
 
 
 def read_noise_table(results: Results) -> float:
-    """Return the read noise that the simulation uses [e-]."""
+    """Return the read noise that the simulation uses, from sensor.nc [e-]."""
     return float(results.open_file("sensor")["read_noise_e"])
 
 
 def images_per_exposure(results: Results) -> float:
-    """Return the number of frames at each exposure [1]."""
+    """Return the number of measured frames at each exposure, angles times repeats [1]."""
     return float(results.measured.sizes["angle"] * results.measured.sizes["repeat"])

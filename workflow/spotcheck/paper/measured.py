@@ -1,9 +1,10 @@
 """The paper's numbers of its measured frames.
 
 `check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml. Means and
-standard deviations are over the repeats of each condition, a pair of angle and exposure. Exposures ascend, so index 0
-is the shortest. C_s is the speckle contrast. p1 and p2 are the parameters of the beam propagation p_b = p1 ln(t/1 s) +
-p2, which is the width σ_g of the spot less that of the laser.
+standard deviations are over the repeats of each condition, a pair of angle and exposure: variables NAME_mean and
+NAME_sd [angle, exposure] of `results.measured`. Those of `results.simulated` are averaged over angles [exposure].
+Exposures ascend, so index 0 is the shortest. Crops are those around the maximum. C_s is the speckle contrast. p1 and p2
+are the parameters of the beam propagation p_b = p1 ln(t/1 s) + p2, the width σ_g of the spot without that of the laser.
 """
 
 import numpy as np
@@ -12,12 +13,12 @@ import xarray as xr
 from spotcheck.fitting.width_law import regress_widths
 from spotcheck.paper.results import CENTRING, Results
 
-# Indices of exposures, which ascend.
+# Exposures by index: the shortest, and all others.
 SHORTEST, LONGER = slice(0, 1), slice(1, None)
 
 
 def _regress_beam_propagation(results: Results) -> tuple[np.ndarray, np.ndarray]:
-    """Return p1 and p2 [angle, repeat] in px, fitted to the widths over ln t; NaN with fewer than two widths."""
+    """Return p1 and p2 [angle, repeat] in px, fitted to the widths over ln(t/1 s); NaN with fewer than two widths."""
     fits = results.open_file("fits").sel(centring=CENTRING, fit="least_squares")
     width = fits["sigma_mean"].transpose("angle", "repeat", "exposure").values
     return regress_widths(width, fits["exposure"].values, results.baseline.laser_px)
@@ -34,17 +35,20 @@ def p2(results: Results) -> float:
 
 
 def p1_sd(results: Results) -> float:
-    """Return the standard deviation of p1 over all sites [px]."""
+    """Return the standard deviation (n − 1) of p1 over all sites, pairs of angle and repeat [px]."""
     return float(np.nanstd(_regress_beam_propagation(results)[0], ddof=1))
 
 
 def p2_sd(results: Results) -> float:
-    """Return the standard deviation of p2 over all sites [px]."""
+    """Return the standard deviation (n − 1) of p2 over all sites, pairs of angle and repeat [px]."""
     return float(np.nanstd(_regress_beam_propagation(results)[1], ddof=1))
 
 
 def psnr(results: Results, statistic: str) -> xr.DataArray:
-    """Return PSNR [angle, exposure] in dB for the data range of 65535 DN; `statistic` is "mean" or "sd"."""
+    """Return PSNR [angle, exposure] in dB of crops around the maximum, for a data range of 65535 DN.
+
+    `statistic` is "mean" or "sd" over repeats.
+    """
     return results.measured[f"psnr_{statistic}"].sel(registration="maximum", data_range="container")
 
 
@@ -103,17 +107,17 @@ def contrast_sd_ratio(results: Results) -> float:
 
 
 def maximum_smallest(results: Results) -> float:
-    """Return the smallest mean of the maximum of a crop [DN]."""
+    """Return the smallest mean maximum of a crop, over all conditions [DN]."""
     return float(results.measured["maximum_mean"].min())
 
 
 def maximum_spread(results: Results) -> float:
-    """Return the largest minus the smallest mean of the maximum of a crop, over all conditions [DN]."""
+    """Return the largest minus the smallest mean maximum of a crop, over all conditions [DN]."""
     return float(np.ptp(results.measured["maximum_mean"].values))
 
 
 def maximum_sd(results: Results) -> float:
-    """Return the largest standard deviation of the maximum of a crop [DN]."""
+    """Return the largest standard deviation of the maximum of a crop, over all conditions [DN]."""
     return float(results.measured["maximum_sd"].max())
 
 
@@ -153,7 +157,7 @@ def amplitude_sd_long(results: Results) -> float:
 
 
 def amplitude_gap_long(results: Results) -> float:
-    """Return the largest absolute difference between simulated and mean measured amplitude at longer exposures [DN]."""
+    """Return the largest absolute difference of simulated and measured mean amplitude at longer exposures [DN]."""
     gap = results.simulated["amplitude_mean"] - results.measured["amplitude_mean"]
     return float(np.abs(gap.isel(exposure=LONGER)).max())
 
@@ -169,7 +173,7 @@ def width_sd_largest(results: Results) -> float:
 
 
 def _width_gap(results: Results) -> xr.DataArray:
-    """Return the absolute difference between measured and simulated mean width [angle, exposure] in px."""
+    """Return the absolute difference of measured and simulated mean width [angle, exposure] in px."""
     return abs(results.measured["sigma_mean_mean"] - results.simulated["sigma_mean_mean"])
 
 
@@ -209,15 +213,15 @@ def simulated_sums_inside(results: Results) -> float:
 
 
 def sum_sd_largest(results: Results) -> float:
-    """Return the largest standard deviation of the sum of a crop [DN]."""
+    """Return the largest standard deviation of the sum of a crop, over all conditions [DN]."""
     return float(results.measured["sum_sd"].max())
 
 
 def peak_ratio_smallest(results: Results) -> float:
-    """Return the smallest mean ratio of the number of peak pixels to that of plateau pixels [%]."""
+    """Return the smallest mean of the peak ratio, the number of peak pixels over that of plateau pixels [%]."""
     return 100 * float(results.measured["peak_ratio_mean"].min())
 
 
 def peak_ratio_largest(results: Results) -> float:
-    """Return the largest mean ratio of the number of peak pixels to that of plateau pixels [%]."""
+    """Return the largest mean of the peak ratio, the number of peak pixels over that of plateau pixels [%]."""
     return 100 * float(results.measured["peak_ratio_mean"].max())

@@ -1,7 +1,9 @@
 """Check each published number and statement of the paper against our value, which is computed from the results.
 
-An entry is one number or statement in published.yaml: a dict with `id`, `printed`, `role`, `unit`, an accepted
-interval, and `because`, the reason for this interval. The virtual rig is the simulator that made the default dataset.
+An entry is one number or statement in published.yaml: a dict with `id`, `printed`, `section`, `unit`, an accepted
+interval, and `because`, the reason for this interval. Its `role` says where the number comes from: "derived" from the
+inputs, "simulated", "measured", or a "statement" without a number. `tuned` says that the settings of the virtual rig,
+the simulator that made the default dataset, were searched to meet it.
 """
 
 import csv
@@ -12,8 +14,8 @@ from typing import NamedTuple
 from spotcheck.paper import bright_pixel, derived, measured, simulated, statements
 from spotcheck.paper.results import Results
 
-# Columns of paper_numbers.csv. `holds` says whether the entry is met now. In an entry `holds` says whether it was met
-# at the last review, which is the column `expected`.
+# Columns of paper_numbers.csv; `ours` is our value. The column `holds` says whether the entry is met now, the column
+# `expected` whether it was met at the last review. The latter is the key `holds` of an entry.
 COLUMNS = tuple("id role group section printed low high ours unit holds expected because remark".split())
 # Groups of entries that are counted separately → words of the summary.
 GROUPS = {
@@ -52,7 +54,10 @@ class NumberCheck(NamedTuple):
 
 
 def accepted_interval(entry: dict) -> tuple[float, float]:
-    """Return the smallest and the largest accepted value of an entry, in its unit; infinite where it sets no limit."""
+    """Return the smallest and the largest accepted value of an entry, in its unit.
+
+    They are `value` ± `tolerance` around the printed value, or else `at_least` and `at_most`, infinite if not given.
+    """
     if "value" in entry:
         return entry["value"] - entry["tolerance"], entry["value"] + entry["tolerance"]
     return entry.get("at_least", -float("inf")), entry.get("at_most", float("inf"))
@@ -65,13 +70,13 @@ def check_numbers(entries: list[dict], results: Results) -> list[NumberCheck]:
 
 
 def read_other_seeds(path: Path) -> list[dict[str, int]]:
-    """Return for each seed in published_seeds.csv a record: group → number of entries that are met."""
+    """Return for each seed of the virtual rig in published_seeds.csv: group → number of entries that are met."""
     with path.open(encoding="utf-8", newline="") as stream:
         return [{group: int(row[group]) for group in GROUPS} for row in csv.DictReader(stream)]
 
 
 def count_met(checks: list[NumberCheck]) -> dict[str, tuple[int, int]]:
-    """Return for each group how many entries are met, and how many there are."""
+    """Return group → (number of entries that are met, number of entries), for all of `GROUPS`."""
     groups = {group: [check for check in checks if check.group == group] for group in GROUPS}
     return {group: (sum(check.is_met for check in members), len(members)) for group, members in groups.items()}
 
@@ -82,7 +87,7 @@ def summarise_checks(checks: list[NumberCheck], other_seeds: list[dict[str, int]
     Parameters
     ----------
     checks : checks of all entries.
-    other_seeds : one record for each other seed of the rig, with the number of met entries of each group.
+    other_seeds : for each other seed of the rig, group → number of entries that are met; may be empty.
     """
     counts = count_met(checks)
     phrases = [f"{met} of {total} {GROUPS[group]}" for group, (met, total) in counts.items()]
@@ -125,5 +130,6 @@ def format_csv(checks: list[NumberCheck]) -> str:
     for check in checks:
         numbers = {"low": f"{check.low:.7g}", "high": f"{check.high:.7g}", "ours": f"{check.value:.6g}"}
         flags = {"holds": check.is_met, "expected": check.is_expected, "group": check.group}
+        # The flag `holds` replaces the key of the entry.
         writer.writerow(check.entry | numbers | flags)
     return stream.getvalue()

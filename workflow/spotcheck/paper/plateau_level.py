@@ -4,7 +4,8 @@ None of them gives the measured level, and their units do not agree. The simulat
 calibrated on the frames. All interpretations depend on the exposure by the same factor (p_b/σ_g)².
 
 p_b = p1 ln(t/1 s) + p2 is the beam propagation at an exposure t (Eq. 8), σ_g the width of the spot (Eq. 7), ϱ_s the
-scattering factor p_b²/t (Eq. 13), and M the magnification. The top hat cuts the Gaussian spot to a plateau.
+scattering factor p_b²/t (Eq. 13), and M the magnification. f_θ is the distribution of the photons over the sensor, a
+Gaussian (Eq. 22). The top hat cuts the Gaussian spot to a plateau.
 """
 
 import math
@@ -18,7 +19,7 @@ from spotcheck.paper.results import require_key
 def estimate_plateau_levels(
     instrument: Instrument, exposure_s: float, p1: float, p2: float, gain: float
 ) -> list[tuple[str, float]]:
-    """Return pairs of an interpretation in words and the peak [DN] of the Gaussian before the top hat that it gives.
+    """Return for each interpretation its description and the peak [DN] of the Gaussian, before the top hat.
 
     Parameters
     ----------
@@ -52,15 +53,18 @@ def estimate_plateau_levels(
 
     def sum_on_sensor(scattering: float) -> float:
         """Return the sum of all readings [DN] due to the photons on the sensor (Eq. 14); `scattering` as above."""
-        losses = (reflectance, scattering, f_number, transmission)
-        return dn_per_photon * float(photons.total_photons(exposure_s, power, wavelength, *losses))
+        light_path = (reflectance, scattering, f_number, transmission)
+        return dn_per_photon * float(photons.total_photons(exposure_s, power, wavelength, *light_path))
 
-    # ϱ_s [px²/s] and [m²/s].
+    # ϱ_s in px²/s and in m²/s on the sensor.
     scattering_px = float(photons.scattering_factor(exposure_s, propagation_px))
     scattering_m = float(photons.scattering_factor(exposure_s, propagation_px * pitch))
-    # Share of the light on the pixel at the centre of the Gaussian, and f_θ there as Eq. 22 prints it [both 1/px²].
+    # Share of the light per area at the centre of the Gaussian [1/px²], from its normalization.
     centre_density = 1 / (2 * math.pi * sigma_px**2)
-    printed_density = float(spot.photon_distribution(0.0, 0.0, sigma_px, sigma_px, 0.0, magnification))
+    # f_θ at the centre [1/px²] as Eq. 22 prints it, with the factor 1/M³; M times this has 1/M².
+    printed_density = float(
+        spot.photon_distribution(0.0, 0.0, sigma_px, sigma_px, correlation=0.0, magnification=magnification)
+    )
     total_label, centre_label = "Eq. 14 spread over the Gaussian of σ_g", "Eq. 12 at the laser's centre"
     return [
         (f"{centre_label}, without ϱ_s", level_at_centre(1.0)),

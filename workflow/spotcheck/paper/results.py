@@ -1,6 +1,7 @@
 """Results of a dataset from which the paper's numbers are computed.
 
-Metrics are variables of metrics.nc; NAME_mean and NAME_sd are mean and standard deviation over repeats.
+Metrics are variables of metrics.nc; NAME_mean and NAME_sd are mean and standard deviation over repeats. The paper uses
+fits by least squares and crops around the maximum.
 """
 
 from functools import cached_property
@@ -19,7 +20,7 @@ CENTRING = "maximum"
 
 
 def require_key(instrument: Instrument, key: str) -> float:
-    """Return the number of a key "section.name" of instrument.yaml, such as "optics.f_number", in the unit of the key.
+    """Return the number of a key "section.name" of instrument.yaml, such as "optics.f_number", in the unit of the file.
 
     Raises `InputError` if the key has no value.
     """
@@ -49,7 +50,7 @@ class Results:
         self.opened: set[Path] = set()
 
     def open_file(self, name: str) -> xr.Dataset:
-        """Open folder/`name`.nc, add it to `opened`, and return its content. Each call opens the file again."""
+        """Return the content of folder/`name`.nc, and add its path to `opened`. Each call opens the file again."""
         path = self.folder / f"{name}.nc"
         self.opened.add(path)
         return store.read(path)
@@ -60,7 +61,7 @@ class Results:
 
     @cached_property
     def metrics(self) -> xr.Dataset:
-        """Metrics of crops around the maximum, with fits by least squares [source, angle, exposure, repeat]."""
+        """Metrics of both sources [source, angle, exposure, repeat], with the paper's choice of crops and fits."""
         return self.open_file("metrics").sel(centring=CENTRING, fit="least_squares").load()
 
     @cached_property
@@ -70,7 +71,7 @@ class Results:
 
     @cached_property
     def simulated(self) -> xr.Dataset:
-        """Metrics of the simulated crops [exposure, repeat], averaged over angles, as the model ignores angles."""
+        """Metrics of the simulated crops, averaged over angles, as the model ignores them [exposure, repeat]."""
         return self.metrics.sel(source="simulated").mean("angle")
 
     @cached_property

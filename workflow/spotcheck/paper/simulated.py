@@ -1,7 +1,8 @@
 """The paper's numbers of its simulation.
 
-`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml. Simulated
-values are means over repeats and angles. Exposures ascend. C_s is the speckle contrast.
+`check_numbers` calls each public function by its name, which is the `id` of an entry in published.yaml. Variables
+NAME_mean are means over repeats: [angle, exposure] in `results.measured`, and also averaged over angles [exposure] in
+`results.simulated`. Exposures ascend. C_s is the speckle contrast.
 """
 
 import numpy as np
@@ -10,12 +11,12 @@ from spotcheck.paper.results import Results
 
 
 def simulated_contrast_smallest(results: Results) -> float:
-    """Return the smallest C_s of an exposure [1]."""
+    """Return the smallest mean C_s of simulated crops among the exposures [1]."""
     return float(results.simulated["speckle_contrast_mean"].min())
 
 
 def simulated_contrast_largest(results: Results) -> float:
-    """Return the largest C_s of an exposure [1]."""
+    """Return the largest mean C_s of simulated crops among the exposures [1]."""
     return float(results.simulated["speckle_contrast_mean"].max())
 
 
@@ -36,7 +37,10 @@ def plateau_gap_long(results: Results) -> float:
 
 
 def simulated_widths_closer(results: Results) -> float:
-    """Return 1 if the widths at the second and third exposure differ less than at the first and second, else 0."""
+    """Return 1 if the mean width grows less from the second to the third exposure than from the first to the second.
+
+    The result is 0 otherwise.
+    """
     first_step, second_step = np.diff(results.simulated["sigma_mean_mean"].values)[:2]
     return float(second_step < first_step)
 
@@ -44,14 +48,15 @@ def simulated_widths_closer(results: Results) -> float:
 def _variance_bounds(results: Results, parameter: str) -> np.ndarray:
     """Return the lower bounds on the variance of "peak" [1] or "sigma" [m²] that Fig. 13 shows [curve point].
 
-    They are those of the paper's law, which takes readings in DN for Poisson numbers. The first points are over the
-    exposure, within the exposures of the dataset; the others are over the number of photons.
+    bounds.nc has them for several noise models. The law of the paper, "dn", takes readings in DN for Poisson
+    numbers. The first points are a curve over the exposure, within the range of the dataset. The others are a curve
+    over the number of photons.
     """
     bounds = results.open_file("bounds").sel(law="dn")
     exposure = results.metrics["exposure"].values
     over_exposure = bounds[f"var_{parameter}_over_exposure"].sel(fine_exposure=slice(exposure.min(), exposure.max()))
     variance = np.concatenate([over_exposure.values, bounds[f"var_{parameter}_over_photons"].values])
-    # px² → m²
+    # The variance of the width is in px², the pitch in m.
     return variance * float(bounds["pixel_pitch"]) ** 2 if parameter == "sigma" else variance
 
 
