@@ -1,1 +1,5 @@
-"""The forward model: law of the exposure → light of the spot → pixels → sensor; mean, variance and random frames."""
+"""The forward model of a frame: law of the exposure → light of the spot → pixels → sensor.
+
+In: an instrument, effects with their parameters, and the conditions of a frame. Out: mean and variance of its readings,
+their derivatives, and random frames.
+"""

@@ -1,9 +1,10 @@
 """The records of an effect: name, parameters, and for each variant the functions that act at stages of the chain.
 
 An effect is a deviation from the baseline model. A variant is one of several formulas for it, which files call `form`.
-A stage is one link of the chain from laser to reading (`Stage`), and a step is a function at a stage. One file holds
-one effect. All that other code must know about an effect is an attribute of `Effect`: nothing depends on its name or on
-the text of a variant.
+A stage is one link of the chain from laser to reading (`Stage`), and a step is a function at a stage. A random step
+also takes a number or field that is drawn. A site is a place on the sample, at which frames may have several exposures.
+One file holds one effect. All that other code must know about an effect is an attribute of `Effect`: nothing depends on
+its name or on the text of a variant.
 """
 
 import inspect
@@ -33,14 +34,14 @@ class Need(Enum):
 
 # Properties of the spot whose change from frame to frame an effect may describe by a law (`Effect.law_of`).
 PROPERTIES = ("brightness", "width")
-# Nodes of Gauss–Hermite quadratures, which are exact for polynomials up to degree 9.
+# Number of nodes of Gauss–Hermite quadratures, which are then exact for polynomials up to degree 9.
 HERMITE_NODES = 5
 # Starting values [deg] for the direction of something that looks the same after half a turn, such as an ellipse.
 DIRECTIONS = (0.0, 45.0, 90.0, 135.0)
 
 
 class Scope(Enum):
-    """The frames that share a drawn number or field: none, those of a site, or all of the sensor."""
+    """The frames that get the same drawn number or field: a single frame, those of a site, or all of the sensor."""
 
     FRAME = "frame"
     SITE = "site"
@@ -71,7 +72,7 @@ class EffectScales:
     shortest_s: float  # shortest exposure [s]
     read_noise_e: float  # stated read noise [e-]
     gain_dn_per_e: float  # gain K [DN/e-]
-    width_exponent: float  # exponent of the power of the exposure t that is nearest to the width p1 ln t + p2
+    width_exponent: float  # exponent [1] of the power of the exposure t nearest to the beam propagation p1 ln t + p2
     longest_s: float  # longest exposure [s]
     waves: tuple[tuple[float, float], ...] = ()  # stripes found in residuals: (period [px], direction [deg])
     copies: tuple[tuple[float, float], ...] = ()  # copies of the spot found in residuals: (dx, dy) [px]
@@ -119,7 +120,8 @@ class RandomStep:
     scope: Scope  # frames that share a draw
     # (rng, shape (rows, columns) of the frame, parameters by name) → a number, or a field that broadcasts with frames
     draw: Callable[..., Any]
-    # (parameters by name) → values [node] and weights [node]; their weighted sums are means over the draw in a pixel
+    # (parameters by name) → values [node] of the draw in a pixel and weights [node], which sum to 1. The weighted sum
+    # of a function of the values is its mean over the draw.
     quadrature: Callable[..., tuple[np.ndarray, np.ndarray]]
 
     def keyword_names(self) -> tuple[str, ...]:
@@ -147,7 +149,8 @@ class Effect:
     law_of : property of the spot whose change from frame to frame it describes, "brightness" or "width"; "" for none.
     acts_on_noise : whether it changes the noise and hardly the mean, so that it is found in the scatter of readings.
     needs : what the frames of a dataset must have for it to be measurable.
-    special_cases : effects that are special cases of it, by name or by the property that they are a law of.
+    special_cases : effects that it can imitate with certain values of its parameters, each by its name, or all laws of
+        a property by one of `PROPERTIES`.
     replaces : parameters of the exposure law (p1, p2, peak_dn) that have no meaning beside it.
     hidden_in_flats : reason why flats and darks at several light levels cannot show it; "" if they can.
     instrument_keys : function of a sensor, the variant and the parameters by name. It returns the keys of
@@ -213,9 +216,9 @@ class Effect:
         return AppliedEffect(self, variant, tuple(float(values.get(p.name, np.nan)) for p in self.parameters))
 
     def bounds(self, scales: EffectScales) -> np.ndarray:
-        """Return the lowest and the highest value of each parameter [parameter, 2]."""
-        ends = [(parameter.low, parameter.high) for parameter in self.parameters]
-        return np.array([[end(scales) if callable(end) else end for end in pair] for pair in ends], dtype=float)
+        """Return the lowest and the highest value of each parameter [parameter, 2], in the unit of the parameter."""
+        bounds = [(parameter.low, parameter.high) for parameter in self.parameters]
+        return np.array([[end(scales) if callable(end) else end for end in pair] for pair in bounds], dtype=float)
 
 
 @dataclass(frozen=True)
@@ -249,7 +252,7 @@ class AppliedEffect:
 class AppliedStep:
     """A step with the parameters of its effect: a function of the arguments of its stage.
 
-    Steps that compare equal return the same, so that cached tables can be reused for them.
+    Steps that compare equal return the same for equal arguments, so that cached tables can be reused for them.
     """
 
     step: Step | RandomStep  # the step without parameters
@@ -275,14 +278,14 @@ class AppliedStep:
         return self.step if isinstance(self.step, RandomStep) else None
 
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return values [node] and weights [node] whose weighted sums are means over the draw of a random step."""
+        """Return values [node] and weights [node] of the draw (`RandomStep.quadrature`); for random steps only."""
         assert self.random_step is not None
         return self.call(self.random_step.quadrature)
 
 
 @cache
 def keyword_names_of(*functions: Callable[..., Any]) -> tuple[str, ...]:
-    """Return the keyword-only arguments of functions: parameters of an effect, or `full_scale_dn`."""
+    """Return the names of the keyword-only arguments of functions: parameters of an effect, or `full_scale_dn`."""
     return tuple(name for function in functions for name in inspect.getfullargspec(function).kwonlyargs)
 
 
@@ -292,7 +295,7 @@ def multiply(frame, value, factor):
 
 
 def normal_draws(name: str, transform: Callable[..., Any] = np.asarray, size: Callable[..., Any] = lambda shape: ()):
-    """Return the functions `draw` and `quadrature` of a random step that draws transformed normal numbers.
+    """Return the functions `draw` and `quadrature` of a `RandomStep` that draws transformed normal numbers.
 
     Parameters
     ----------
@@ -301,15 +304,15 @@ def normal_draws(name: str, transform: Callable[..., Any] = np.asarray, size: Ca
     transform : function
         Function from normal numbers to drawn values; by default the numbers themselves.
     size : function
-        Function from the shape (rows, columns) of the frame to the shape of a draw; by default one number.
+        Function from the shape (rows, columns) of the frame to the shape of a draw; by default (), one number.
     """
 
     def draw(rng, shape, **parameters):
-        """Return a draw for a frame of a shape (rows, columns)."""
+        """Return a draw for a frame of `shape` (rows, columns), as `RandomStep.draw` is called."""
         return transform(parameters[name] * rng.standard_normal(size(shape)))
 
     def quadrature(**parameters):
-        """Return the transformed nodes of Gauss and Hermite and their weights [node]."""
+        """Return transformed Gauss–Hermite nodes [node] and their weights [node], which sum to 1."""
         nodes, weights = np.polynomial.hermite_e.hermegauss(HERMITE_NODES)
         return transform(parameters[name] * nodes), weights / weights.sum()
 

@@ -1,7 +1,9 @@
 """Read an effect from a Python file of the user, and check it as a whole before anything runs with it.
 
 An effect is a deviation from the baseline model; a variant is one of several formulas for it. A step is a function that
-acts at a stage of the chain from laser to reading; a random step also takes a number or field that is drawn.
+acts at a stage of the chain from laser to reading; a random step also takes a number or field that is drawn, and has a
+quadrature: values and weights whose weighted sums are means over the draw. Bounds and starting values of parameters are
+functions of the scales of a dataset (`EffectScales`).
 """
 
 import inspect
@@ -37,10 +39,13 @@ SENSOR = SensorModel(0.11, 13.0, black_level_dn=12.0, full_scale_dn=1023.0)
 ROWS, COLUMNS = 10, 12  # [px]
 GRID = crop_grid(range(COLUMNS), range(ROWS), COLUMNS, ROWS)
 # A small spot, and the same at another exposure and angle and another place in the order of acquisition.
-FRAME = FrameConditions(GRID, 5.3, 4.6, 1e-4, 2e-4, 2e-4, angle=0.0, order=0.0, peak_dn=640.0, sigma_px=3.0)
+FRAME = FrameConditions(
+    GRID, x0=5.3, y0=4.6, exposure_s=1e-4, longest_s=2e-4, reference_s=2e-4, angle=0.0, order=0.0, peak_dn=640.0,
+    sigma_px=3.0,
+)  # fmt: skip
 FRAMES = (FRAME, replace(FRAME, exposure_s=2e-4, angle=np.pi / 2, order=1.0))
 # The model without an effect.
-PLAIN = ForwardModel(Baseline(0.0, "free", False, 2e-4), SENSOR)
+PLAIN = ForwardModel(Baseline(laser_px=0.0, photon_budget="free", top_hat=False, longest_s=2e-4), SENSOR)
 # Stages at which random steps are not supported.
 NEVER_RANDOM = (Stage.BLUR, Stage.ADDED_LIGHT, Stage.SMEAR, Stage.READ_NOISE, Stage.RESPONSE, Stage.DIGITAL)
 # Number of draws of a random step, and how far their mean and standard deviation may be from those of its quadrature,
@@ -82,7 +87,10 @@ def read_effect(path: Path) -> tuple[Effect, str]:
 
 @contextmanager
 def _explain_errors(what: str, remedy: str) -> Iterator[None]:
-    """Turn an error of the user's code into an `InputError`: `what` raised it, the error, and `remedy`."""
+    """Run the body of a `with` statement, and turn an error of the user's code in it into an `InputError`.
+
+    Its message is `what`, the place in the user's file, then the error, then `remedy`, which says what would be right.
+    """
     try:
         yield
     except InputError:
@@ -129,7 +137,7 @@ def _check_attributes(effect: Any) -> None:
 
 
 def _check_variants(effect: Effect) -> None:
-    """Check the steps of each variant, their stages, and the arguments of their functions."""
+    """Check the steps of each variant, their stages, and the names of the arguments of their functions."""
     names = [parameter.name for parameter in effect.parameters]
     if not isinstance(effect.variants, dict) or not effect.variants:
         raise InputError("variants must be a dict from members of an Enum to tuples of Step or RandomStep")
@@ -153,7 +161,7 @@ def _check_variants(effect: Effect) -> None:
 
 
 def _check_starts(effect: Effect) -> list[tuple[float, ...]]:
-    """Check bounds and starting values of the parameters; return one tuple of values for each start."""
+    """Check bounds and starting values for `EXAMPLE`; return for each start the values of all parameters."""
     names = [parameter.name for parameter in effect.parameters]
     with _explain_errors("parameters: bounds raise ", "they must be numbers or functions of the EffectScales"):
         low, high = effect.bounds(EXAMPLE).T
@@ -174,21 +182,24 @@ def _check_starts(effect: Effect) -> list[tuple[float, ...]]:
 def _check_use(applied: AppliedEffect) -> None:
     """Check that an effect with values sets valid keys of instrument.yaml and gives usable readings and draws."""
     effect, values = applied.effect, ", ".join(f"{name} = {value:g}" for name, value in applied.parameters.items())
+    # Section of instrument.yaml and its schema, whose `properties` are the keys.
     sections = read_schema("instrument")["properties"].items()
     with _explain_errors("instrument_keys raises ", "it must be f(sensor, variant, *, …) and give sensor.key"):
         keys = set(applied.instrument_keys(SENSOR))
-    if keys := keys - {f"{name}.{key}" for name, section in sections for key in section.get("properties", ())}:
-        raise InputError(f"instrument_keys names {keys.pop()}, which is no key of instrument.yaml")
+    if unknown := keys - {f"{name}.{key}" for name, section in sections for key in section.get("properties", ())}:
+        raise InputError(f"instrument_keys names {unknown.pop()}, which is no key of instrument.yaml")
     remedy = f"at {values} it must return finite numbers that broadcast over rows and columns"
     with _explain_errors("function raises ", remedy):
         model = replace(PLAIN, effects=(applied,))
         signal, distribution = np.linspace(*SIGNAL_RANGE, SIGNALS) * SENSOR.full_scale_dn, model.distribution()
+        # The functions of the signal [DN] at the well, at the response and at the digital stage.
         for transfer in (*distribution.charge, *distribution.response, *distribution.digital):
             if np.any(np.diff(transfer(signal)) < -DECREASE_TOLERANCE * SENSOR.full_scale_dn):
                 raise InputError(f"function returns less for a larger signal at {values}; it must never decrease there")
-        readings = [model.sample(FRAME, RandomStreams(1, 0, 0))]
-        readings += [moment for frame in FRAMES for moment in model.expected(frame)]
-        if not all(np.shape(image) == (ROWS, COLUMNS) and np.isfinite(image).all() for image in readings):
+        # A random frame, then mean and variance of the readings of each frame.
+        images = [model.sample(FRAME, RandomStreams(seed=1, frame=0, site=0))]
+        images += [moment for frame in FRAMES for moment in model.expected(frame)]
+        if not all(np.shape(image) == (ROWS, COLUMNS) and np.isfinite(image).all() for image in images):
             raise InputError(f"function makes readings that are not finite or not one for each pixel; {remedy}")
         for stage in effect.stages:
             _check_draws(applied, stage)
@@ -207,6 +218,7 @@ def _check_draws(applied: AppliedEffect, stage: Stage) -> None:
             rng, drawn = np.random.default_rng(1), np.empty(0)
             while drawn.size < DRAWS:
                 drawn = np.append(drawn, step.call(step.random_step.draw, rng, (ROWS, COLUMNS)))
+            # Mean and standard deviation of a draw by the quadrature, and the sum of its weights.
             values, weights = step.quadrature()
             mean = float(weights @ values)
             deviation, total = float(np.sqrt(weights @ (values - mean) ** 2)), np.sum(weights)

@@ -33,17 +33,20 @@ class Stage(Enum):
     EXPOSURE = StageDescription("frame, exposure_s", "true exposure [s] of light and dark current", "sets the exposure")
     WIDTH = StageDescription("frame, width", "`WidthLaw`: p_b [px] over the exposure", "changes the width of the spot")
     BRIGHTNESS = StageDescription("frame, peak_dn", "peak of the spot [DN]", "changes the brightness of the spot")
-    # The light of a pixel is that of a round spot at the returned displacements from its centre.
+    # dx, dy are the displacements of a pixel from the centre of the spot. The light of a pixel is that of a round spot
+    # at the returned displacements.
     COORDINATES = StageDescription("frame, dx, dy", "displacements on a round spot [px]", "stretches or moves the spot")
+    # ρ is the distance from the centre of the round spot, in widths σ_g.
     PROFILE = StageDescription("frame, half_square", "E [1] of the profile exp(−E), from ρ²/2", "changes the profile")
     # `frame.exposure_s` is the true exposure here; elsewhere it is the nominal one.
     BLUR = StageDescription("frame", "dx, dy [px] and weights of copies [3, copy]", "blurs or copies the spot")
     ADDED_LIGHT = StageDescription("frame, light_dn, spot", "light of the spot [DN]", "adds light to the spot")
     MODULATION = StageDescription("frame, light_dn", "light of the spot [DN]", "modulates the light of the spot")
-    # Random steps here must multiply the light by their draw: means over it are taken without calling the function.
+    # A random step here must multiply the light by its draw, as means over draws do not call its function.
     SPECKLE_FIELD = StageDescription("frame, light_dn", "light of the spot [DN]", "makes the light granular")
     PEDESTAL = StageDescription("frame, pedestal_dn", "all pedestals so far [DN]", "adds light under the spot")
-    # Functions here and at the modulation are proportional to the light. These act on spot and pedestal separately.
+    # Functions at this stage act on spot and pedestal separately. Like those at the modulation, they must be
+    # proportional to the light.
     PIXEL_GAIN = StageDescription("frame, light_dn", "light that pixels convert [DN]", "changes the gains of pixels")
     CHARGE = StageDescription("frame, mean_e", "mean electrons of light and dark current [e-]", "changes the charge")
     SMEAR = StageDescription("frame, mean_e", "electrons without shot noise [e-]", "adds electrons without shot noise")

@@ -70,9 +70,10 @@ def chosen() -> Choice:
 
 
 def record() -> dict[str, Any]:
-    """Return how the vocabulary of this run differs from this folder, as files of results record it; {} if it does not.
+    """Return how the vocabulary of this run differs from the effects of this folder, as files of results record it.
 
-    The key `own` lists name, file and digest of each effect from a file, `left_out` the names of effects left out.
+    The key `own` has a list of name, file and digest (`sha256`) of each effect from a file, `left_out` the names of
+    effects that are left out. {} without a difference.
     """
     difference = _gather(_choice)[1]
     return difference if any(difference.values()) else {}
@@ -80,11 +81,11 @@ def record() -> dict[str, Any]:
 
 @cache
 def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
-    """Return the effects of a choice by name, in the order of their numbers, and the keys of `record`.
+    """Return the effects of a choice by name, in the order of their numbers, and the difference that `record` returns.
 
-    Raises `InputError` as `choose` does.
+    The difference has empty lists where there is none. Raises `InputError` as `choose` does.
     """
-    effects, added = dict(built_in()), []
+    effects, own = dict(built_in()), []
     for file in choice.files:
         effect, digest = read_effect(Path(file))
         numbers = {other.number: other.name for other in effects.values()}
@@ -94,10 +95,12 @@ def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
             raise InputError(f"{file}: number {effect.number} is that of {other}; leave it out for the next free one")
         # 0 stands for the next free number.
         effects[effect.name] = replace(effect, number=effect.number or max(numbers) + 1)
-        added.append({"name": effect.name, "file": Path(file).name, "sha256": digest})
+        own.append({"name": effect.name, "file": Path(file).name, "sha256": digest})
     known = f"known effects: {', '.join(effects)}"
-    for file, keys in zip(choice.files, added, strict=True):
-        for special_case in sorted(set(effects[keys["name"]].special_cases) - {*effects, *PROPERTIES}):
+    # A special case is what an effect can imitate: another effect, or all laws of a property of the spot
+    # (`PROPERTIES`).
+    for file, entry in zip(choice.files, own, strict=True):
+        for special_case in sorted(set(effects[entry["name"]].special_cases) - {*effects, *PROPERTIES}):
             raise InputError(f"{file}: special_cases names {special_case}, which is no effect; {known}")
     if choice.only and choice.without:
         raise InputError("vocabulary: has both only and without; name the effects that stay, or those that go")
@@ -108,5 +111,5 @@ def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
     if not kept_names:
         raise InputError("vocabulary: without names every effect; leave at least one")
     kept = _sort_by_number(effects[name] for name in kept_names)
-    kept_files = [keys for keys in added if keys["name"] in kept]
-    return kept, {"own": kept_files, "left_out": [name for name in effects if name not in kept]}
+    kept_own = [entry for entry in own if entry["name"] in kept]
+    return kept, {"own": kept_own, "left_out": [name for name in effects if name not in kept]}

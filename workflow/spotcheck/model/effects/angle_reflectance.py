@@ -6,7 +6,10 @@ from spotcheck.model.effect import DIRECTIONS, Effect, Need, Only, Parameter, St
 
 
 def modulate_by_angle(frame, peak_dn, *, d, gamma0):
-    """Return the peak [DN] times 1 + d cos 2(γ − γ0), with the depth d [1] and the angle γ0 of the maximum [deg]."""
+    """Return the peak [DN] times 1 + d cos 2(γ − γ0) at the fibre angle γ (`frame.angle` [rad]).
+
+    `d` is the depth [1], `gamma0` the angle of the maximum [deg].
+    """
     return peak_dn * (1 + d * np.cos(2 * (frame.angle - np.deg2rad(gamma0))))
 
 

@@ -9,9 +9,10 @@ def add_slope(frame, pedestal_dn, *, slope, level, direction):
     """Return the pedestals so far [DN] plus one that rises linearly across the frame.
 
     It is `level` [DN] at the centre of the sensor and rises by `slope` [DN per 100 px] towards `direction` [deg from +x
-    towards +y]. Where it would be negative it is 0.
+    towards +y]. Where it would be negative it is 0. `frame.pixels` has x, y of the pixels and of the centre [px].
     """
     angle_rad, pixels = np.deg2rad(direction), frame.pixels
+    # Distance from the centre of the sensor along the direction.
     distance_px = (pixels.x - pixels.centre_x) * np.cos(angle_rad) + (pixels.y - pixels.centre_y) * np.sin(angle_rad)
     return pedestal_dn + np.maximum(level + slope * distance_px / 100, 0.0)
 

@@ -9,7 +9,8 @@ EFFECT = Effect(
     " brightness",
     noun="light elsewhere than declared",
     is_share=True,
-    # Share of the light that lies elsewhere than declared, and the azimuthal order that has most of it.
+    # Share of the light that lies elsewhere than declared, and the azimuthal order (periods per turn around the centre)
+    # that has most of it.
     parameters=(Parameter("power", "1", 0.0, 1.0, negligible=0.005), Parameter("order", "1", 0.0, 8.0)),
     # No step: the learned shape is part of the baseline.
     variants={Only.ONLY: ()},

@@ -25,9 +25,9 @@ def cut_dead_zone(signal_dn, *, threshold):
 
 
 def find_instrument_keys(sensor, variant, *, threshold):
-    """Return the key of instrument.yaml that does the same: a black level lower by `threshold` [DN].
+    """Return the key of instrument.yaml, with its value, that does the same: a black level lower by `threshold` [DN].
 
-    {} for a dead zone, which no key describes, and for a black level below 0.
+    {} for a dead zone, which no key describes, and for a black level below 0. `sensor` is a `SensorModel`.
     """
     level_dn = sensor.black_level_dn - threshold
     return {"sensor.black_level_dn": level_dn} if variant is Variant.SUBTRACTED and level_dn >= 0 else {}

@@ -9,9 +9,9 @@ def add_level(frame, pedestal_dn, *, level):
 
 
 def find_instrument_keys(sensor, variant, *, level):
-    """Return the key of instrument.yaml that does the same: a black level higher by `level` [DN].
+    """Return the key of instrument.yaml, with its value, that does the same: a black level higher by `level` [DN].
 
-    {} for a pedestal of light, which no key describes.
+    {} for a pedestal of light, which no key describes. `sensor` is a `SensorModel`.
     """
     return {"sensor.black_level_dn": sensor.black_level_dn + level} if variant is Pedestal.ELECTRONIC else {}
 
@@ -23,6 +23,7 @@ EFFECT = Effect(
     noun="uniform pedestal",
     parameters=(Parameter("level", "DN", 0.0, lambda scales: 0.5 * scales.full_scale_dn, negligible=0.1),),
     variants={
+        # The pedestal has the derivative 1 by its level.
         Pedestal.LIGHT: (Step(Stage.PEDESTAL, add_level, {"level": lambda frame, pedestal_dn: 1.0}),),
         Pedestal.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_level),),
     },

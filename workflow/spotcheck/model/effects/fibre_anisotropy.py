@@ -18,14 +18,14 @@ class Variant(Enum):
 def stretch_along(frame, dx, dy, *, ratio, zero):
     """Return the displacements [px] on a round spot that correspond to dx, dy on the ellipse.
 
-    `ratio` is the long over the short axis [1]. The direction of the long axis is the fibre angle plus `zero` [deg from
-    +x towards +y].
+    `ratio` is the long over the short axis [1]. The direction of the long axis is the fibre angle, `frame.angle` [rad],
+    plus `zero` [deg from +x towards +y].
     """
     return make_round(dx, dy, ratio, frame.angle + np.deg2rad(zero))
 
 
 def stretch_against(frame, dx, dy, *, ratio, zero):
-    """Return as `stretch_along` displacements [px] on a round spot, with the direction `zero` minus the fibre angle."""
+    """Return displacements [px] as `stretch_along` does, for a long axis at `zero` [deg] minus the fibre angle."""
     return make_round(dx, dy, ratio, np.deg2rad(zero) - frame.angle)
 
 

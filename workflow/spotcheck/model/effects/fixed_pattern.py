@@ -4,8 +4,9 @@ import numpy as np
 
 from spotcheck.model.effect import Effect, Only, Parameter, RandomStep, Scope, Stage, multiply, normal_draws
 
-# Draws the gain of each pixel [row, column]: normal with mean 1, never below 0. Hot pixels are not simulated; the
-# report lists those of the frames.
+# Functions that draw the gain of each pixel [row, column] over the mean gain, and average over it: normal with mean 1
+# and deviation `prnu`, never below 0. Hot pixels (`hot_pixels` is their number) are not simulated; the report lists
+# those of the frames.
 GAINS = normal_draws("prnu", lambda deviation: np.maximum(1 + deviation, 0.0), size=tuple)
 
 EFFECT = Effect(

@@ -9,15 +9,15 @@ START_DIRECTIONS, START_RADII, START_FRACTION = 8, (1.2, 2.2, 3.4), 0.01
 
 
 def add_copy(frame, *, fraction, dx, dy):
-    """Return dx, dy [px] and weights [3, copy] of the spot itself and of a copy displaced by `dx`, `dy` [px].
+    """Return displacements dx, dy [px] and weights [1] of the spot itself and of a copy: an array [3, copy].
 
-    The copy has the share `fraction` [1] of the brightness of the spot.
+    The copy is displaced by `dx`, `dy` [px] and has `fraction` [1] times the brightness of the spot.
     """
     return np.array([[0.0, dx], [0.0, dy], [1.0, fraction]])
 
 
 def list_starts(scales):
-    """Return starting values at the copies that residuals show; without these, on rings around the spot."""
+    """Return starts (fraction, dx, dy) at the copies found in residuals; without any, on rings around the spot."""
     angles_rad = np.arange(START_DIRECTIONS) * 2 * np.pi / START_DIRECTIONS
     # dx and dy [px] of the starts on each ring.
     rings = [radius * scales.sigma_px * np.array([np.cos(angles_rad), np.sin(angles_rad)]) for radius in START_RADII]

@@ -39,7 +39,7 @@ def fix_to_site(frame, light_dn, phase_rad, *, d, period, direction):
 
 
 def stripes(x, y, d, period, direction, phase_rad):
-    """Return the factor 1 + d cos(2π u/period + phase) [1] with the depth d [1] and the period [px].
+    """Return the factor 1 + `d` cos(2π u/`period` + `phase_rad`) [1], with the depth `d` [1] and the period [px].
 
     u [px] is the component of (x, y) [px] along `direction` [deg from +x towards +y], which is across the stripes.
     """
@@ -58,7 +58,10 @@ def average_phases():
 
 
 def list_starts(scales):
-    """Return starting values at the stripes that residuals show; without these, at some periods and directions."""
+    """Return starts (d, period, direction, phase) at the stripes found in residuals.
+
+    Without any found, they are at `START_PERIODS` and `DIRECTIONS`.
+    """
     periods = (max(widths * scales.sigma_px, LEAST_PERIOD_PX) for widths in START_PERIODS)
     waves = scales.waves or tuple(product(periods, DIRECTIONS))
     return [(START_DEPTH, period, direction, phase) for period, direction in waves for phase in START_PHASES]

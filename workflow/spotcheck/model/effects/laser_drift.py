@@ -18,15 +18,15 @@ class Variant(Enum):
 
 
 def drift_linearly(frame, peak_dn, *, total):
-    """Return the peak [DN] times 1 + `total` · place, where the place in the order of acquisition runs from 0 to 1."""
+    """Return the peak [DN] times 1 + `total` · `frame.order`, the place in the order of acquisition from 0 to 1."""
     return peak_dn * (1 + total * frame.order)
 
 
 def settle(frame, peak_dn, *, total, rate):
     """Return the peak [DN] times 1 + `total` · (1 − exp(−`rate` · place))/(1 − exp(−`rate`)).
 
-    The place in the order of acquisition runs from 0 to 1. With `rate` > 0 the brightness settles; with `rate` < 0 the
-    drift accelerates exponentially.
+    The place in the order of acquisition, `frame.order`, runs from 0 to 1; `total` and `rate` have no unit. With `rate`
+    > 0 the brightness settles; with `rate` < 0 the drift accelerates exponentially.
     """
     rate = rate if abs(rate) > LEAST_RATE else LEAST_RATE
     return peak_dn * (1 + total * np.expm1(-rate * frame.order) / np.expm1(-rate))

@@ -10,15 +10,15 @@ FEWEST_POINTS, PX_PER_POINT, MOST_POINTS = 3, 3.0, 12
 
 
 def move(frame, *, speed, direction):
-    """Return dx, dy [px] and weights [3, point, ...] of points along the path of the spot during the exposure.
+    """Return displacements dx, dy [px] and weights [1] of points along the path of the spot: an array [3, point, ...].
 
-    The path is centred on the place of the spot. `speed` is in px/s, `direction` in deg from +x towards +y. Further
-    axes are those of frames with different exposures.
+    The path is centred on the place of the spot. `speed` is in px/s, `direction` in deg from +x towards +y.
+    `frame.exposure_s` is the true exposure [s]: a number, or an array [...] for several frames.
     """
     # Half the length of the path.
     angle_rad, half_px = np.deg2rad(direction), speed * np.asarray(frame.exposure_s) / 2
     count = int(min(FEWEST_POINTS + 2 * np.max(half_px) // PX_PER_POINT, MOST_POINTS))
-    # The nodes lie in −1 … 1 and the weights sum to 2.
+    # The nodes lie in −1 … 1 and the weights sum to 2. Their axis comes before those of the exposures.
     nodes, weights = (values.reshape(-1, *(1,) * half_px.ndim) for values in np.polynomial.legendre.leggauss(count))
     path_px = half_px * nodes
     weights = np.broadcast_to(weights / 2, path_px.shape)

@@ -5,7 +5,10 @@ from spotcheck.sensor.response import apply_curvature
 
 
 def curve_response(signal_dn, *, q, full_scale_dn):
-    """Return y − `q` y²/full scale for a signal y [DN] without black level; with q > 0 [1] the response bends down."""
+    """Return y − `q` y²/`full_scale_dn` [DN] for a signal y [DN] without black level.
+
+    With `q` > 0 [1] the response bends down.
+    """
     return apply_curvature(signal_dn, q / full_scale_dn)
 
 

@@ -6,7 +6,7 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
 def multiply_by_power(frame, peak_dn, *, q):
-    """Return the peak [DN] times (t/t_max)^`q`, with the nominal exposure t and the longest one of the dataset."""
+    """Return the peak [DN] times (t/t_max)^`q`, for the nominal exposure t and the longest one t_max."""
     return peak_dn * np.exp(q * np.log(frame.exposure_s / frame.longest_s))
 
 

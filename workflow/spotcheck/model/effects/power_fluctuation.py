@@ -4,7 +4,8 @@ import numpy as np
 
 from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Scope, Stage, multiply, normal_draws
 
-# Draws the factor on the peak of one frame: normal with mean 1 and deviation `rms`, never below 0.
+# Functions that draw the factor on the peak of one frame, and average over it: normal with mean 1 and deviation `rms`,
+# never below 0.
 FACTORS = normal_draws("rms", lambda deviation: np.maximum(1 + deviation, 0.0))
 
 EFFECT = Effect(

@@ -8,7 +8,8 @@ def add_row_offsets(frame, offset_dn, rows_dn):
     return offset_dn + rows_dn
 
 
-# Draws the offset of each row [row, 1] in DN: normal with mean 0 and deviation `rms`.
+# Functions that draw the offset of each row [row, 1] in DN, and average over it: normal with mean 0 and deviation
+# `rms`.
 OFFSETS = normal_draws("rms", size=lambda shape: (shape[0], 1))
 
 EFFECT = Effect(

@@ -39,7 +39,7 @@ def limit_to_drawn_level(signal_dn, level_dn):
 
 
 def limit_softly(signal_dn, *, level, knee):
-    """Return x − w ln[(1 + exp(x/w − 1/knee))/(1 + exp(−1/knee))] with w = level/ln(1 + exp(1/knee)).
+    """Return x − w ln[(1 + exp(x/w − 1/`knee`))/(1 + exp(−1/`knee`))] [DN] with w = `level`/ln(1 + exp(1/`knee`)).
 
     x is the signal [DN]. The result tends to `level` [DN] with a knee that is about `knee` [1] times the level wide.
     Its slope at 0 is 1/(1 + exp(−1/knee)).
@@ -51,7 +51,10 @@ def limit_softly(signal_dn, *, level, knee):
 
 
 def limit_by_power(signal_dn, *, level, knee):
-    """Return (x^−m + level^−m)^(−1/m) with m = 1/knee for a signal x [DN], which tends to `level` [DN]."""
+    """Return (x^−m + `level`^−m)^(−1/m) [DN] with m = 1/`knee` for a signal x [DN]; it tends to `level` [DN].
+
+    Signals up to `LEAST_SIGNAL_DN` stay as they are.
+    """
     log_ratio = np.log(np.maximum(signal_dn, LEAST_SIGNAL_DN) / level)
     return np.where(
         signal_dn > LEAST_SIGNAL_DN, level * np.exp(log_ratio - knee * np.logaddexp(0.0, log_ratio / knee)), signal_dn
@@ -59,12 +62,15 @@ def limit_by_power(signal_dn, *, level, knee):
 
 
 def draw_levels(rng, shape, *, level, scatter):
-    """Return the random level of each pixel [row, column] in DN: normal, with the relative deviation `scatter` [1]."""
+    """Return random levels [row, column] in DN: normal with mean `level` and relative deviation `scatter` [1].
+
+    `shape` is (rows, columns). Levels are never below 0.
+    """
     return level * np.maximum(1 + scatter * rng.standard_normal(shape), 0.0)
 
 
 def make_level_quadrature(*, level, scatter):
-    """Return levels [node] in DN and weights [node], which sum to 1, of a normal level with deviation `scatter` [1]."""
+    """Return levels [node] in DN and weights [node], which sum to 1, for averages over the levels of `draw_levels`."""
     # Nodes are the centres of the cells of a uniform grid, weights their probabilities. Limiting has a kink at the
     # level, which the few nodes of a Gauss–Hermite quadrature would turn into visible steps.
     step = 2 * HALF_RANGE / (LEVEL_COUNT - 1)
@@ -74,9 +80,9 @@ def make_level_quadrature(*, level, scatter):
 
 
 def find_instrument_keys(sensor, variant, *, level, knee, scatter):
-    """Return the key of instrument.yaml that does the same: full well [e-], or full scale [DN] of the converter.
+    """Return the key of instrument.yaml, with its value, that does the same: full well [e-], or full scale [DN].
 
-    {} for variants with `knee` or `scatter`, which no key describes.
+    `sensor` is a `SensorModel`. {} for variants with `knee` or `scatter`, which no key describes.
     """
     if variant is Variant.SHARP:
         return {"sensor.full_well_e": level / sensor.gain_dn_per_e}

@@ -1,4 +1,8 @@
-"""Scatter halo: a broad faint second component around the spot."""
+"""Scatter halo: a broad faint second component around the spot.
+
+`frame.pixels` has x, y of the pixels, and `frame` the centre x0, y0 of the spot [px]. `spot.peak_dn` is the peak of the
+spot's Gaussian before the top hat [DN].
+"""
 
 from enum import Enum
 
@@ -16,25 +20,25 @@ class Variant(Enum):
 
 
 def add_exponential(frame, light_dn, spot, *, fraction, radius):
-    """Return the light [DN] plus a halo `fraction` · peak · exp(−r/`radius`), with the radius in px.
+    """Return the light [DN] plus a halo `fraction` · `spot.peak_dn` · exp(−r/`radius`), with the radius in px.
 
-    The peak [DN] is that of the Gaussian of the spot.
+    r is the distance of a pixel from the centre of the spot, and `fraction` has no unit.
     """
     return light_dn + fraction * spot.peak_dn * np.exp(-np.sqrt(squared_distance(frame, radius)))
 
 
 def add_gaussian(frame, light_dn, spot, *, fraction, radius):
-    """Return the light [DN] plus a halo `fraction` · peak · exp(−r²/(2 `radius`²)); see `add_exponential`."""
+    """Return the light [DN] plus a halo `fraction` · `spot.peak_dn` · exp(−r²/(2 `radius`²)); see `add_exponential`."""
     return light_dn + fraction * spot.peak_dn * np.exp(-squared_distance(frame, radius) / 2)
 
 
 def add_power(frame, light_dn, spot, *, fraction, radius, tail):
-    """Return the light [DN] plus a halo `fraction` · peak · (1 + r²/`radius`²)^(−`tail`); see `add_exponential`."""
+    """Return the light [DN] plus a halo `fraction` · `spot.peak_dn` · (1 + r²/`radius`²)^(−`tail`)."""
     return light_dn + fraction * spot.peak_dn * np.exp(-tail * np.log1p(squared_distance(frame, radius)))
 
 
 def squared_distance(frame, radius):
-    """Return r²/`radius`² [1] at each pixel, where r is the distance from the centre of the spot."""
+    """Return r²/`radius`² [1] at each pixel, where r [px] is the distance from the centre of the spot."""
     return ((frame.pixels.x - frame.x0) ** 2 + (frame.pixels.y - frame.y0) ** 2) / radius**2
 
 

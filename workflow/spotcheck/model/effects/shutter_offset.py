@@ -4,7 +4,7 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
 def add_offset(frame, exposure_s, *, offset):
-    """Return the true exposure [s]: the nominal one plus `offset` [s]."""
+    """Return the true exposure [s]: the nominal one `exposure_s` plus `offset` [s]."""
     return exposure_s + offset
 
 

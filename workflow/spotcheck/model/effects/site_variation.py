@@ -8,11 +8,11 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Sc
 
 
 def scale_width(frame, width, factor):
-    """Return the law of the width with σ_g multiplied by the drawn `factor` [1]."""
+    """Return `width`, a `WidthLaw`, with the factor on the width σ_g multiplied by the drawn `factor` [1]."""
     return replace(width, factor=width.factor * factor)
 
 
-# Draws for each site the factors on width and on brightness; their logarithms are normal with mean 0.
+# The steps draw for each site a factor on the width and one on the brightness; their logarithms are normal with mean 0.
 STEPS = (
     RandomStep(Stage.WIDTH, scale_width, Scope.SITE, *normal_draws("width", np.exp)),
     RandomStep(Stage.BRIGHTNESS, multiply, Scope.SITE, *normal_draws("brightness", np.exp)),
@@ -31,6 +31,7 @@ EFFECT = Effect(
     ),
     variants={Only.ONLY: STEPS},
     starts=lambda scales: [(0.02, 0.01)],
+    # Without scatter of the brightness, the width may still scatter.
     vanishes_at=np.nan,
     needs=(Need.SITES, Need.LAW),
 )

@@ -6,9 +6,14 @@ from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
 
 
 def spread_columns(frame, mean_e, *, fraction):
-    """Return the electrons [e-] that each pixel gains: `fraction` [1] of its column's sum, spread over all rows."""
-    # ASSUME: the charge is added and not taken from the column, as in frame-transfer read-out. Its noise, that of a sum
-    # over a column, is small compared with that of a pixel.
+    """Return the electrons that each pixel of a column gains [..., 1, column] in e-.
+
+    They are `fraction` [1] of the sum of `mean_e`, the mean electrons [..., row, column], over the column, divided by
+    the number of rows of the sensor. `frame.pixels.row_share` is the number of rows of the sensor for which a row of
+    the grid stands in this sum.
+    """
+    # ASSUME: the charge is added and not taken from the column, as in frame-transfer read-out. The shot noise of the
+    # added charge is neglected: it is small compared with that of a pixel.
     column_sum = np.sum(mean_e * frame.pixels.row_share, axis=-2, keepdims=True)
     return fraction * column_sum / frame.pixels.sensor_rows
 

@@ -27,16 +27,17 @@ class Grains(Enum):
 def draw_field(rng, shape, *, contrast, grain):
     """Return a random factor [row, column] with mean 1 and standard deviation `contrast` [1].
 
-    Its correlation over a distance d is exp(−d²/(2 `grain`²)), with the grain in px. `shape` is (rows, columns).
+    The correlation of two pixels at a distance d is exp(−d²/(2 `grain`²)), with the grain in px. `shape` is (rows,
+    columns). Values are never below 0, so a high contrast is not reached exactly.
     """
     if contrast <= 0:
         return np.ones(shape)
     total = np.zeros(shape)
     # ASSUME: intensities follow a gamma distribution, as sums of independent speckle patterns do.
     for _ in range(min(max(round(1 / contrast**2), 1), MOST_PATTERNS)):
-        # Real and imaginary part of the field. Smoothed with s, it has the correlation exp(−d²/(4 s²)). Its intensity
-        # has the square of that, so s is the grain.
-        # ASSUME: the grain [px] is the standard deviation of the correlation; elsewhere it may be the full width.
+        # Real and imaginary part of the field of the light. White noise that is smoothed by a Gaussian of deviation s
+        # has the correlation exp(−d²/(4 s²)). Its intensity has the square of that, so s is the grain. ASSUME: the
+        # grain [px] is the standard deviation of the correlation; elsewhere it may be the full width.
         amplitudes = [ndimage.gaussian_filter(rng.standard_normal(shape), grain, mode="wrap") for _ in range(2)]
         total += sum(amplitude**2 / np.mean(amplitude**2) for amplitude in amplitudes) / 2
     # Scaled to the contrast exactly, which a whole number of patterns gives only roughly.
@@ -45,7 +46,8 @@ def draw_field(rng, shape, *, contrast, grain):
 
 
 def draw_partial_field(rng, shape, *, contrast, grain, floor):
-    """Return a random factor as `draw_field` does, of which the share `floor` [1] is the same in all pixels."""
+    """Return a random factor as `draw_field` does, of which the part `floor` [1] is the same in all pixels."""
+    # The rest has a higher contrast, so that the sum has `contrast`.
     return floor + (1 - floor) * draw_field(rng, shape, contrast=contrast / (1 - floor), grain=grain)
 
 

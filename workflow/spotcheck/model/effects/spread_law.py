@@ -1,4 +1,7 @@
-"""Spread law: the beam propagation p_b, the width of the spot without the laser's own, is a power of the exposure."""
+"""Spread law: the beam propagation p_b, the width of the spot without the laser's own, is a power of the exposure.
+
+In the baseline p_b is p1 ln(t/1 s) + p2 at an exposure t.
+"""
 
 from dataclasses import replace
 
@@ -6,10 +9,10 @@ from spotcheck.model.effect import Effect, Need, Only, Parameter, Stage, Step
 
 
 def follow_power(frame, width, *, exponent):
-    """Return the law of the width with p_b(t) = p_b(t_ref) (t/t_ref)^`exponent` [px].
+    """Return `width`, a `WidthLaw`, with p_b(t) = p_b(t_ref) (t/t_ref)^`exponent` [px].
 
-    Two numbers give all widths, as in the baseline: p_b at the reference exposure t_ref, which remains
-    p1 ln t_ref + p2, and `exponent` [1] in place of p1.
+    p_b at the reference exposure t_ref, `frame.reference_s` [s], is that of `width`. `exponent` [1] takes the place of
+    p1, so that two numbers give all widths, as in the baseline.
     """
     reference_px = width.propagation_px(frame.reference_s)
     return replace(width, propagation_px=lambda exposure_s: reference_px * (exposure_s / frame.reference_s) ** exponent)

@@ -9,7 +9,10 @@ LEAST_HALF_SQUARE = 1e-12
 
 
 def change_flanks(frame, half_square, *, n):
-    """Return E = (ρ²/2)^`n` [1] of the profile exp(−E), from `half_square` = ρ²/2; ρ is in widths σ_g."""
+    """Return the exponent E [1] of the profile exp(−E): (ρ²/2)^`n` in place of the Gaussian's ρ²/2, `half_square`.
+
+    ρ is the distance from the centre of the spot, in widths σ_g.
+    """
     # The floor avoids ln 0 at the centre.
     return np.exp(n * np.log(np.maximum(half_square, LEAST_HALF_SQUARE)))
 
