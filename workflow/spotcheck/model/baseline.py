@@ -19,7 +19,7 @@ STEP = 1e-30
 
 @dataclass(frozen=True)
 class Baseline:
-    """The part of the model that the instrument file fixes."""
+    """The part of the model that the instrument file fixes. Methods take numbers, or arrays that broadcast."""
 
     laser_px: float  # M σ_la/s_px, the laser's own width on the sensor [px]
     photon_budget: str  # law of the peak: "spot_area" or "linear" (`peak_law`), "free" for none
@@ -39,8 +39,9 @@ class Baseline:
     def peak_law(self, exposure_s, propagation_px):
         """Return a factor to which the peak is proportional, from the exposure t [s] and p_b [px].
 
-        It is (p_b/σ_g)² [1] for the budget "spot_area", as Eqs. 13 and 28 together leave it: ϱ_s cancels t. For
-        "linear" it is t/σ_g² [s/px²]: light proportional to the exposure, spread over the area of the spot.
+        It is (p_b/σ_g)² [1] for the photon budget "spot_area": the scattering factor p_b²/t (Eq. 13) cancels t in Eq.
+        28. For "linear" it is t/σ_g² [s/px²]: light proportional to the exposure, spread over the area of the spot. A
+        baseline with the budget "free" has no such law.
         """
         sigma = propagation.spot_sigma(propagation_px, self.laser_px)
         if self.photon_budget == "spot_area":
@@ -49,6 +50,7 @@ class Baseline:
 
     def relative_peak(self, exposure_s, p1, p2):
         """Return the peak of the Gaussian at an exposure [s] divided by that at the longest exposure [1]."""
+        # The unit of the factor cancels.
         factor, longest_factor = (self.peak_law(t, self.propagation(t, p1, p2)) for t in (exposure_s, self.longest_s))
         return factor / longest_factor
 
@@ -61,9 +63,10 @@ class Baseline:
         return self.add_top_hat_and_shape(light, dx, dy, peak_dn, sigma_px)
 
     def add_top_hat_and_shape(self, light, dx, dy, peak_dn, sigma_px):
-        """Return the light [DN] of a profile after the top hat has cut it and the learned shape is added.
+        """Return the light [DN] of a profile after the top hat, if any, has cut it and a learned shape is added.
 
-        `light` is the profile without both [DN] at displacements dx, dy [px], and `peak_dn` its peak.
+        `light` is the profile before both [DN] at displacements dx, dy [px] from the centre of the spot. `peak_dn` [DN]
+        is its peak, to which the learned shape is relative, and `sigma_px` the width σ_g [px].
         """
         if self.top_hat:
             light = spot.top_hat(light, peak_dn)
@@ -72,18 +75,24 @@ class Baseline:
         return light + peak_dn * self.learned(dx / sigma_px, dy / sigma_px)
 
     def declared_light(self, x, y, peak_dn, x0, y0, sigma_px):
-        """Return the light [DN] that pixels at x, y [px] receive of a spot of the declared shape at x0, y0 [px]."""
+        """Return the light [DN] that pixels at x, y [px] receive of a spot of the declared shape at x0, y0 [px].
+
+        It is the light at the centre of a pixel, or its mean over the pixel if pixels integrate. `peak_dn` is the peak
+        of the Gaussian before the top hat [DN], `sigma_px` its width σ_g [px].
+        """
         declared = replace(self, learned=None)
         if not self.pixel_integration:
             return declared.spot(x - x0, y - y0, peak_dn, sigma_px)
-        return spot.average_over_pixel(lambda dx, dy: declared.spot(x - dx - x0, y - dy - y0, peak_dn, sigma_px))
+        return spot.average_over_pixel(
+            lambda offset_x, offset_y: declared.spot(x - offset_x - x0, y - offset_y - y0, peak_dn, sigma_px)
+        )
 
     def effective_gaussian(self, peak_dn, sigma_px):
-        """Return peak [DN] and width [px] of the Gaussian whose values at pixel centres are the readings of a spot.
+        """Return peak [DN] and width [px] of the Gaussian that gives the light of pixels by its values at their centres.
 
-        They are the peak and σ_g of the spot itself if light is sampled at pixel centres. If pixels average over their
-        area, the variance of a pixel is added to σ_g² and the sum of the light is kept. This approximation has an error
-        of 2e-3/σ_g⁴ of the peak. The top hat is ignored.
+        `peak_dn` and `sigma_px` are those of the spot's own Gaussian, and are returned if light is sampled at pixel
+        centres. If pixels average over their area, the variance of a pixel is added to σ_g² and the sum of the light is
+        kept. This approximation has an error of 2e-3/σ_g⁴ of the peak, with σ_g in px. The top hat is ignored.
         """
         if not self.pixel_integration:
             return peak_dn, sigma_px
@@ -91,7 +100,10 @@ class Baseline:
         return peak_dn * sigma_px * sigma_px / variance, variance**0.5
 
     def plateau(self, peak_dn):
-        """Return the highest light [DN] of a spot whose Gaussian has a peak [DN]: the level of the top hat, if any."""
+        """Return the highest light [DN] of a spot whose Gaussian has the peak `peak_dn` [DN].
+
+        It is the level to which the top hat cuts the Gaussian, or the peak without a top hat.
+        """
         return spot.top_hat_level(peak_dn) if self.top_hat else peak_dn
 
 
@@ -117,7 +129,7 @@ def of_instrument(instrument: Instrument, exposures_s) -> Baseline:
 def jacobian(function, parameters) -> np.ndarray:
     """Return the derivatives [parameter, ...] of `function(*parameters)` by complex step, exact to rounding.
 
-    The function must accept complex numbers; `...` is the shape of its result.
+    The function must accept complex numbers; `...` is the shape of its result. `parameters` is a sequence of numbers.
     """
     # Row k has a step in parameter k.
     stepped = np.asarray(parameters, dtype=complex) + 1j * STEP * np.eye(len(parameters))

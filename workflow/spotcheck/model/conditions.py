@@ -1,6 +1,7 @@
 """The inputs and intermediate results of the forward model for one frame: pixels, conditions, width and peak.
 
 The exposure law gives peak and width of a spot as functions of the exposure; effects are deviations from this model.
+The top hat cuts the Gaussian of the spot to a plateau.
 """
 
 from collections.abc import Callable
@@ -33,7 +34,10 @@ class PixelGrid:
 
 
 def crop_grid(columns: range, rows: range, sensor_columns: int, sensor_rows: int) -> PixelGrid:
-    """Return the grid of a rectangular part of the sensor, given by ranges of its columns and rows."""
+    """Return the grid of a rectangular part of the sensor, given by ranges of its columns and rows [px].
+
+    `sensor_columns` and `sensor_rows` are the size of the sensor's whole frame.
+    """
     x, y = np.arange(columns.start, columns.stop, dtype=float), np.arange(rows.start, rows.stop, dtype=float)
     return PixelGrid(x[None, :], y[:, None], sensor_columns, sensor_rows)
 
@@ -51,7 +55,7 @@ class FrameConditions:
     y0: PerFrame  # row of the spot's centre [px]
     exposure_s: PerFrame  # nominal exposure [s]
     longest_s: float  # longest exposure of the dataset [s], at which the exposure law states the peak
-    reference_s: float  # exposure [s] at which the effect spread_law leaves the width unchanged
+    reference_s: float  # exposure [s] at which the effect spread_law (width as a power of t) leaves the width unchanged
     angle: PerFrame = 0.0  # angle of the fibres of the sample [rad]
     order: PerFrame = 0.5  # place in the order of acquisition, from 0 to 1
     peak_dn: PerFrame = np.nan  # peak of the spot [DN]; NaN, unused, if an exposure law gives it

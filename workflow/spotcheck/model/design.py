@@ -39,7 +39,7 @@ def simulate_dataset(
 
     With p1, p2 and a peak, each spot is a round Gaussian whose width at an exposure t is p1 ln(t / 1 s) + p2, plus the
     width of the laser if instrument.yaml gives laser and optics. Its peak follows from the exposure. With a model.yaml,
-    spots and effects are those of the file. Equal seeds give equal frames.
+    spots and effects (deviations from the baseline) are those of the file. Equal seeds give equal frames.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def read_data_sheet(instrument: Instrument) -> SensorModel:
         if getattr(sheet, key) is None:
             raise InputError(f"instrument.yaml: key sensor.{key} is missing; give it, or a sensor")
     assert sheet.bit_depth is not None
-    # Both have the same names of parameters.
+    # `sheet` has all attributes of SensorModel under the same names; full well and full scale are None if unknown.
     numbers = {field.name: getattr(sheet, field.name) for field in fields(SensorModel)}
     numbers["full_well_e"] = np.inf if sheet.full_well_e is None else sheet.full_well_e
     numbers["full_scale_dn"] = sheet.full_scale_dn or 2.0**sheet.bit_depth - 1
@@ -127,10 +127,11 @@ def _build_baseline_model(design: Dataset, law: ExposureLaw) -> ExtendedModel:
             "simulate_dataset: p1_px, p2_px and peak_dn are a law in exposure, and the design has no exposures or"
             " the photon budget free; give a model.yaml with a peak and a width for every spot"
         )
-    least_px = min(float(baseline.sigma(t, law.p1, law.p2)) for t in design.exposures)
+    least_px = min(float(baseline.sigma(exposure_s, law.p1, law.p2)) for exposure_s in design.exposures)
     if not (law.peak_dn > 0 and least_px > 0):
         raise InputError(
             f"simulate_dataset: peak_dn is {law.peak_dn:g} and the least width {least_px:g} px; both must be above 0"
         )
+    # The law states the peak at the longest exposure. The reference exposure, which effects use, has no meaning here.
     side = CANVAS * design.instrument.crop_px
     return ExtendedModel(law, baseline.longest_s, baseline.longest_s, rows=side, columns=side, effects=(), spots={})

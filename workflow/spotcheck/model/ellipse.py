@@ -6,7 +6,7 @@ import numpy as np
 def make_round(dx, dy, ratio, axis_rad):
     """Map displacements from the centre of an elliptical spot to those of a round spot of equal area.
 
-    A round spot has at the returned (dx, dy) the light that the ellipse has at the given ones.
+    The round spot has the same light at the returned displacements as the ellipse at the given ones.
 
     Parameters
     ----------
@@ -17,8 +17,14 @@ def make_round(dx, dy, ratio, axis_rad):
         multiplied by √`ratio`.
     axis_rad : float or array that broadcasts
         Direction of the long axis [rad], from +x towards +y.
+
+    Returns
+    -------
+    dx, dy : arrays of the common shape
+        Displacements on the round spot [px].
     """
-    # The matrix is symmetric, hence no rotation: a second ellipse may follow with its own direction.
+    # The matrix is symmetric, so it stretches without a rotation, and a second ellipse may follow with its own
+    # direction.
     root, cos, sin = np.sqrt(ratio), np.cos(axis_rad), np.sin(axis_rad)
     xx = cos * cos / root + sin * sin * root
     yy = sin * sin / root + cos * cos * root

@@ -1,8 +1,9 @@
 """The light of a frame: the stages of the forward model from the exposure to the gains of pixels, in their order.
 
 An effect has steps: functions that act at stages. A random step also takes a number or field that is drawn. `drawn`
-holds these draws by step; random steps without a draw are skipped. The result is then the mean light only if their
-factor has the mean 1 and later stages are linear.
+holds these draws by step. Random steps without a draw are skipped: the result is then the mean light only if they
+multiply by a factor of mean 1 and later stages are linear. Lengths are in px of the sensor, and widths are the standard
+deviation σ_g of the spot's Gaussian.
 """
 
 from collections.abc import Iterator, Mapping
@@ -46,10 +47,7 @@ class Light:
 
 
 class LightStages:
-    """The stages up to the gains of pixels, as methods of a model with a baseline, an exposure law and effects.
-
-    `drawn` is described in the module docstring.
-    """
+    """The stages up to the gains of pixels, as methods of a model with a baseline, an exposure law and effects."""
 
     baseline: Baseline  # the part of the model that the instrument fixes
     law: ExposureLaw | None  # exposure law; None: each frame has its own peak and width
@@ -66,8 +64,9 @@ class LightStages:
     def apply_stage(self, stage: Stage, drawn: Drawn, frame: FrameConditions | None, *value: Any) -> Any:
         """Apply the steps of all effects at a stage one after another, and return the result.
 
-        `value` is the first step's argument, or a pair of arguments such as dx and dy; the result has the same form.
-        `frame` is None at stages whose functions do not take a frame.
+        `value` is the argument of the first step, or a pair of arguments such as dx and dy; the result has the same
+        form. Each further step takes the result of the previous one. `frame` is None at stages whose functions take no
+        frame.
         """
         result: Any = value if len(value) > 1 else value[0]
         for step in self.steps_at(stage):
@@ -85,7 +84,10 @@ class LightStages:
         return self.apply_stage(Stage.EXPOSURE, drawn, frame, frame.exposure_s)
 
     def spot(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> SpotState:
-        """Return peak and width of the spot of a frame: by the exposure law, else from the frame's conditions."""
+        """Return peak and width of the spot of a frame, after the effects on width and brightness.
+
+        They come from the exposure law, or from the conditions of the frame if there is no law.
+        """
         baseline, law = self.baseline, self.law
         if law is None:
             width = self.apply_stage(Stage.WIDTH, drawn, frame, WidthLaw(lambda exposure_s: frame.sigma_px))
@@ -95,18 +97,21 @@ class LightStages:
             width = self.apply_stage(Stage.WIDTH, drawn, frame, width)
             exposure_s = self.true_exposure(frame, drawn)
             propagation_px = width.propagation_px(exposure_s)
+            # The law states the peak at the longest exposure.
             longest_factor = baseline.peak_law(frame.longest_s, width.propagation_px(frame.longest_s))
             peak = law.peak_dn * baseline.peak_law(exposure_s, propagation_px) / longest_factor
             sigma = (propagation_px + baseline.laser_px) * width.factor
         return SpotState(self.apply_stage(Stage.BRIGHTNESS, drawn, frame, peak), sigma)
 
     def copies(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> Iterator[tuple[Any, Any, Any]]:
-        """Yield dx, dy and weight of each of the sharp spots whose weighted sum is the blurred spot.
+        """Yield dx, dy [px] and weight [1] of each copy of the sharp spot; their weighted sum is the blurred spot.
 
-        dx, dy are the displacements [px] of the pixels from the centre of a round spot; they broadcast with the pixels.
+        dx, dy are the displacements of the pixels from the centre of the copy, on a round spot; they broadcast with the
+        pixels.
         """
+        # Blurs depend on the true exposure.
         true_frame = replace(frame, exposure_s=self.true_exposure(frame, drawn))
-        # Displacements [px] of the copies and their weights [3, copy].
+        # dx [px], dy [px] and weight of each copy, [3, copy]: at first one copy at the place of the spot.
         shifts = np.array([[0.0], [0.0], [1.0]])
         for step in self.steps_at(Stage.BLUR):
             shifts = convolve_shifts(shifts, step(true_frame))
@@ -130,7 +135,10 @@ class LightStages:
         return Light(*(self.apply_stage(Stage.PIXEL_GAIN, drawn, frame, part) for part in (light, pedestal)))
 
     def _sharp_light(self, frame: FrameConditions, spot: SpotState, dx: Any, dy: Any, drawn: Drawn) -> np.ndarray:
-        """Return the light [DN] of the spot without blur at displacements dx, dy from its centre [px]."""
+        """Return the light [DN] of the spot without blur at displacements dx, dy from its centre [px].
+
+        Effects at the profile replace the exponent ρ²/2 of the Gaussian, with the distance ρ from the centre in σ_g.
+        """
         if not self.steps_at(Stage.PROFILE):
             return self.baseline.spot(dx, dy, spot.peak_dn, spot.sigma_px)
         half_square = (dx * dx + dy * dy) / (2 * spot.sigma_px**2)
@@ -139,11 +147,13 @@ class LightStages:
         return self.baseline.add_top_hat_and_shape(profile, dx, dy, spot.peak_dn, spot.sigma_px)
 
     def shape_response(self, frame: FrameConditions) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield for each copy of the spot the places u, v [σ] of the pixels in the light shape s, and ∂light/∂s [DN].
+        """Yield u, v and ∂light/∂s for each copy of the spot: how the light depends on the learned light shape s(u, v).
 
-        All broadcast with the pixels. Random steps count as absent.
+        u, v [σ_g] are the places of the pixels in the shape, and ∂light/∂s [DN] is the derivative of their light by the
+        value of s there. All broadcast with the pixels. Random steps count as absent.
         """
         spot = self.spot(frame)
+        # Factor on the light of the spot by the stages that are proportional to it.
         factor = np.ones(np.broadcast_shapes(np.shape(frame.pixels.x), np.shape(frame.pixels.y)))
         for stage in (Stage.MODULATION, Stage.SPECKLE_FIELD, Stage.PIXEL_GAIN):
             factor = self.apply_stage(stage, NOTHING_DRAWN, frame, factor)
@@ -152,11 +162,12 @@ class LightStages:
 
 
 def convolve_shifts(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the convolution of two sets of shifts [3, copy, ...]: for every pair dx, dy are added, weights multiplied.
+    """Return the convolution of two sets of copies [3, copy, ...]: dx, dy of every pair are added, weights multiplied.
 
-    The first axis is dx [px], dy [px] and weight [1]. Further axes are those of frames, if their shifts
+    The first axis is dx [px], dy [px] and weight [1]. Further axes, which broadcast, are those of frames whose copies
     differ.
     """
+    # Missing axes of frames have the length 1; then one axis for the copies of each set.
     axes = max(first.ndim, second.ndim)
     first, second = (shifts.reshape(shifts.shape + (1,) * (axes - shifts.ndim)) for shifts in (first, second))
     first, second = first[:, :, None], second[:, None]

@@ -1,9 +1,9 @@
 """Learned shapes of the light, and light.nc, the file that holds them.
 
-The light of a spot is S(u, v) = B(u, v) + s(u, v) times its peak, with u = (x − x₀)/σ and v = (y − y₀)/σ. B is the
-declared shape with peak 1, such as a Gaussian. s is the learned shape, a tensor product of uniform cubic B-splines (de
-Boor, A Practical Guide to Splines, ch. IX), 0 beyond the last nodes. A second one with nodes closer together may be
-added to it.
+The light of a spot is S(u, v) = B(u, v) + s(u, v) times its peak, with u = (x − x₀)/σ and v = (y − y₀)/σ. σ is the
+width of the spot. B is the declared shape with peak 1, such as a Gaussian. s is the learned shape, a tensor product of
+uniform cubic B-splines (de Boor, A Practical Guide to Splines, ch. IX), 0 beyond two steps from the last nodes. A
+second one with nodes closer together, the finer layer, may be added to it.
 """
 
 import math
@@ -27,7 +27,9 @@ class LightShape:
     """A learned shape s(u, v), which is added to the declared shape."""
 
     step: float  # distance of the nodes [σ]
-    coefficients: np.ndarray  # of the splines [row, column], over the peak of B; the middle node is the centre
+    coefficients: (
+        np.ndarray
+    )  # coefficients of the splines [row, column], relative to the peak; the middle is the centre
     finer: "LightShape | None" = None  # shape with nodes closer together, which is added; None for none
 
     def __call__(self, u, v) -> np.ndarray:
@@ -59,10 +61,13 @@ def fill_spline(coefficients, steps_per_sigma, u, v, values):
     """Write the values [point] of a spline at u, v [point] in σ into `values`.
 
     `coefficients` [row, column] is square with the centre in the middle; `steps_per_sigma` is 1/distance of its nodes.
+    A value is Σ over rows and columns of row weight · column weight · coefficient, with the weights of the four nearest
+    nodes along each axis (`cubic_weights`); 0 outside.
     """
     nodes = coefficients.shape[0]
     middle = (nodes - 1) / 2
     for k in range(u.size):
+        # Place of the point in steps, from the first node.
         x, y = u[k] * steps_per_sigma + middle, v[k] * steps_per_sigma + middle
         values[k] = 0.0
         # The spline of a node is 0 from two steps on.
@@ -109,15 +114,17 @@ def read_lights(path: str | Path) -> tuple[LightShape, ...]:
         raise InputError(f"{path.name}: is no file; name a light.nc, as a verdict writes it")
     try:
         with store.read(path) as ds:
-            # The finer layer first, if there is one: step [σ] and coefficients [shape, row, column].
+            # The finer layer first, if there is one: step [σ] and coefficients [shape, row, column]. Missing
+            # coefficients of the other layer are a KeyError.
             layers = [
-                (float(ds[step]), np.array(ds[name].values, float))
-                for step, name in (("fine_step", "fine_coefficients"), ("step", "coefficients"))
+                (float(ds[step_name]), np.array(ds[name].values, float))
+                for step_name, name in (("fine_step", "fine_coefficients"), ("step", "coefficients"))
                 if name in ds or name == "coefficients"
             ]
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{path.name}: holds no shape of a light; name a light.nc, as a verdict writes it") from None
-    # Each layer takes the shapes of the finer one as its `finer`.
+    # Shape k of a layer gets shape k of the layer before it as its finer layer, the first layer gets None. Coefficients
+    # that are a single number, which has no length, are reported below.
     shapes: list[LightShape | None] = [None] * len(np.atleast_1d(layers[-1][1]))
     for step, coefficients in layers:
         is_square = coefficients.ndim == 3 and coefficients.shape[1] == coefficients.shape[2] >= FEWEST_NODES
@@ -128,4 +135,5 @@ def read_lights(path: str | Path) -> tuple[LightShape, ...]:
                 " rows as columns"
             )
         shapes = [LightShape(step, shape, finer) for shape, finer in zip(coefficients, shapes, strict=True)]
+    # No shape is None here; type checkers do not know.
     return tuple(shape for shape in shapes if shape is not None)

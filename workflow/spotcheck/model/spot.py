@@ -4,7 +4,7 @@ x is the column, to the right; y is the row, downwards. Pixel centres lie at int
 of pixels unless the instrument file asks for its mean over each pixel, which widens the spot by about 1/(24 σ) px. An
 amplitude is the peak of the light itself. The orientation is the angle of the long axis from +x towards +y. All
 functions accept complex arguments, since derivatives are taken by complex step. x and y are arrays that broadcast, such
-as [1, column] and [row, 1].
+as [1, column] and [row, 1]. The top hat cuts the spot at a level, which leaves a plateau.
 """
 
 import math
@@ -28,12 +28,15 @@ PIXEL_VARIANCE = 1 / 12
 
 
 def average_over_pixel(light: Callable[[Any, Any], Any]):
-    """Return the mean of light(dx, dy) over the area of a pixel; dx and dy are the place in the pixel [px]."""
+    """Return the mean of light(dx, dy) over the area of a pixel; dx and dy are offsets from its centre [px]."""
     return sum(weight * light(dx, dy) for dx, dy, weight in PIXEL)
 
 
 def circular_gaussian(x, y, amplitude, x0, y0, sigma):
-    """Return the light at (x, y) of a circular Gaussian, in the unit of its peak `amplitude`; lengths in px."""
+    """Return the light at (x, y) of a circular Gaussian, in the unit of its peak `amplitude`.
+
+    `x0`, `y0` is its centre and `sigma` its standard deviation; all lengths are in px.
+    """
     # The exponentials along x and y are separate: with a row and a column vector, each pixel costs one product.
     two_var = 2 * sigma * sigma
     return amplitude * np.exp(-(x - x0) * (x - x0) / two_var) * np.exp(-(y - y0) * (y - y0) / two_var)
@@ -42,7 +45,8 @@ def circular_gaussian(x, y, amplitude, x0, y0, sigma):
 def elliptical_gaussian(x, y, amplitude, x0, y0, sigma_major, sigma_minor, orientation, offset=0.0):
     """Return the light at (x, y) of an elliptical Gaussian plus `offset`, in the unit of its peak `amplitude`.
 
-    Positions and widths are in px; `orientation` is the angle of the long axis [rad].
+    Positions and widths, standard deviations along the long and the short axis, are in px. `orientation` is the angle
+    of the long axis [rad].
     """
     cos, sin = np.cos(orientation), np.sin(orientation)
     along = ((x - x0) * cos + (y - y0) * sin) / sigma_major
@@ -53,7 +57,8 @@ def elliptical_gaussian(x, y, amplitude, x0, y0, sigma_major, sigma_minor, orien
 def point_spread(x, y, sigma_x, sigma_y, correlation):
     """Return q(x, y), the normalized point-spread function of Eq. 20, in 1/(unit of the widths)².
 
-    The widths are standard deviations along x and y in the unit of x and y; `correlation` is ρ [1].
+    x and y are relative to the centre. The widths are standard deviations along x and y, in the unit of x and y.
+    `correlation` is ρ [1], 0 for axes along x and y.
     """
     uncorrelated = 1 - correlation**2
     u, v = x / sigma_x, y / sigma_y
@@ -64,14 +69,18 @@ def point_spread(x, y, sigma_x, sigma_y, correlation):
 def photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification: float):
     """Return f_θ = q(x, y)/M³ of the centred spot as Eq. 22 prints it, in 1/(unit of the widths)².
 
-    The change of variables gives q(x/M, y/M)/M² instead. With the paper's third power the absolute level has no
-    meaning. It cancels in every ratio, and the level is calibrated as one constant.
+    q is the point-spread function `point_spread`, whose arguments these are, and M the magnification [1]. The change of
+    variables gives q(x/M, y/M)/M² instead. With the paper's third power the absolute level has no meaning. It cancels
+    in every ratio, and the level is calibrated as one constant.
     """
     return point_spread(x, y, sigma_x, sigma_y, correlation) / magnification**3
 
 
 def pixel_mean_photons(x, y, peak_photons, sigma_x, sigma_y, correlation, magnification: float):
-    """Return µ_θ,k = µ_p,max f_θ [photons] of a pixel as Eq. 27 prints it: f_θ at its centre, not its integral."""
+    """Return µ_θ,k [photons], the mean on a pixel k at (x, y), as Eq. 27 prints it.
+
+    It is µ_p,max f_θ: `peak_photons` times `photon_distribution` at the centre of the pixel, not its integral over it.
+    """
     # ASSUME: the light is constant during the exposure, which turns the time integral of Eq. 26 into a factor.
     return peak_photons * photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification)
 
@@ -82,12 +91,12 @@ def circular_mean_photons(x, y, peak_photons, sigma, magnification: float):
 
 
 def top_hat(light, amplitude):
-    """Return light limited to the level of the top hat of a Gaussian with the peak `amplitude` (Eq. 39)."""
+    """Return `light` limited to the level of the top hat (Eq. 39); `amplitude` is the Gaussian's peak in its unit."""
     # Complex light is compared by its real part, so that complex steps follow the branch.
     level = top_hat_level(amplitude)
     return np.where(np.real(light) > np.real(level), level, light)
 
 
 def top_hat_level(amplitude):
-    """Return µ_y,max,TH = exp(−1/4) `amplitude`, the level of the plateau of a Gaussian with this peak (Eq. 40)."""
+    """Return µ_y,max,TH = exp(−1/4) `amplitude`, the plateau of a Gaussian with this peak, in its unit (Eq. 40)."""
     return TOP_HAT_LEVEL * amplitude
