@@ -88,7 +88,7 @@ class Baseline:
         )
 
     def effective_gaussian(self, peak_dn, sigma_px):
-        """Return peak [DN] and width [px] of the Gaussian that gives the light of pixels by its values at their centres.
+        """Return peak [DN] and width [px] of the Gaussian whose values at pixel centres are the light of the pixels.
 
         `peak_dn` and `sigma_px` are those of the spot's own Gaussian, and are returned if light is sampled at pixel
         centres. If pixels average over their area, the variance of a pixel is added to σ_g² and the sum of the light is

@@ -27,9 +27,8 @@ class LightShape:
     """A learned shape s(u, v), which is added to the declared shape."""
 
     step: float  # distance of the nodes [σ]
-    coefficients: (
-        np.ndarray
-    )  # coefficients of the splines [row, column], relative to the peak; the middle is the centre
+    # Coefficients of the splines [row, column], relative to the peak of the spot; the middle node is the centre.
+    coefficients: np.ndarray
     finer: "LightShape | None" = None  # shape with nodes closer together, which is added; None for none
 
     def __call__(self, u, v) -> np.ndarray:

@@ -3,7 +3,9 @@
 The extended model is the baseline with the effects that a verdict added. The file holds the parameters of the exposure
 law, the effects, and the positions of the spots. Everything that the instrument fixes (photon budget, top hat, sensor)
 stays in instrument.yaml; learned shapes of the light are in light.nc in the same folder. With an exposure law, peak and
-width of a spot follow from the exposure; without it each spot has its own.
+width of a spot follow from the exposure; without it each spot has its own. The law of the width is σ_g = p_b plus the
+laser's own width, with the beam propagation p_b = p1 ln(t/1 s) + p2 at an exposure t. The top hat cuts the Gaussian of
+the spot to a plateau.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,6 +24,7 @@ from spotcheck.model.effects import vocabulary
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LIGHT, LightShape, read_lights
 from spotcheck.sensor import SensorModel
+from spotcheck.sensor.codes import LARGEST_READING
 
 # Values in the file are rounded, so they may exceed a bound by this share of it.
 BOUND_TOLERANCE = 1e-6
@@ -29,7 +32,7 @@ BOUND_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Site:
-    """Keys that identify a spot. None: not recorded in the manifest."""
+    """Keys that identify a spot, the light at one place on the sample. None: not recorded in the manifest."""
 
     angle_deg: float | None  # fibre angle [deg]
     exposure_s: float | None  # exposure [s]; None with a law, where frames of all exposures share a spot
@@ -43,7 +46,7 @@ class Spot:
 
     x_px: float  # column of the centre [px of the sensor]
     y_px: float  # row of the centre [px of the sensor]
-    peak_dn: float | None = None  # peak [DN]; None with a law
+    peak_dn: float | None = None  # peak of the Gaussian before the top hat [DN]; None with a law
     sigma_px: float | None = None  # width σ_g [px]; None with a law
     light: int | None = None  # index of its learned light shape; None if there is at most one
 
@@ -68,6 +71,7 @@ class ExtendedModel:
 
 def site_of(frame: Frame, conditions: Sequence[str], has_law: bool) -> Site:
     """Return the keys that identify the spot of a frame; `conditions` are the names of the declared conditions."""
+    # `frame.extra` has the cells of the manifest in columns of declared conditions, as text.
     named_values = tuple((name, parse_number(frame.extra[name])) for name in sorted(conditions))
     return Site(frame.angle_deg, None if has_law else frame.exposure_s, frame.repeat or 0, named_values)
 
@@ -75,20 +79,26 @@ def site_of(frame: Frame, conditions: Sequence[str], has_law: bool) -> Site:
 def scales_of(
     model: ExtendedModel, baseline: Baseline, sensor: SensorModel, crop_px: int, exposures_s: Sequence[float]
 ) -> EffectScales:
-    """Return the scales from which effects derive their bounds, for a simulation at `exposures_s` [s]."""
+    """Return the scales from which effects derive their bounds, for a simulation at `exposures_s` [s].
+
+    `crop_px` is the side of a crop [px]. `exposures_s` may be empty. Without a law, the width is the median over the
+    spots, the peak that of the brightest spot, and the width does not depend on the exposure.
+    """
     law = model.law
     if law is not None:
-        # Slope of ln p_b over ln t at the reference exposure.
+        # d ln p_b / d ln t = p1/p_b at the reference exposure.
         exponent = law.p1 / baseline.propagation(model.reference_s, law.p1, law.p2)
         sigma, peak = baseline.sigma(model.longest_s, law.p1, law.p2), law.peak_dn
     else:
         exponent, sigma = 0.0, np.median([spot.sigma_px for spot in model.spots.values()])
         # No reading lies above full scale, however bright the light of a spot is.
         peak = min(max(spot.peak_dn or 0.0 for spot in model.spots.values()), sensor.full_scale_dn)
+    # `plateau` gives the brightest light, after the top hat. Full scale is infinite for a sensor without one.
     return EffectScales(
-        sigma_px=float(sigma), peak_dn=float(baseline.plateau(peak)), full_scale_dn=min(sensor.full_scale_dn, 65535.0),
-        crop_px=float(crop_px), shortest_s=float(min(exposures_s, default=1.0)), longest_s=model.longest_s,
-        read_noise_e=sensor.read_noise_e, gain_dn_per_e=sensor.gain_dn_per_e, width_exponent=float(exponent),
+        sigma_px=float(sigma), peak_dn=float(baseline.plateau(peak)), crop_px=float(crop_px),
+        full_scale_dn=min(sensor.full_scale_dn, float(LARGEST_READING)), width_exponent=float(exponent),
+        shortest_s=float(min(exposures_s, default=1.0)), longest_s=model.longest_s,
+        read_noise_e=sensor.read_noise_e, gain_dn_per_e=sensor.gain_dn_per_e,
     )  # fmt: skip
 
 
@@ -115,8 +125,8 @@ def read_model(path: Path) -> ExtendedModel:
         raise InputError(f"{path.name}: holds no model: {content['why_not']}")
     if violation := find_violation(content, "model"):
         raise InputError(f"{path.name}: {violation}")
-    law, spots = content.get("law"), _read_spots(path, content)
-    if law is None and not spots:
+    law_keys, spots = content.get("law"), _read_spots(path, content)
+    if law_keys is None and not spots:
         raise InputError(f"{path.name}: has neither law nor spots; give p1_px, p2_px and peak_dn under `law:`")
     effects = tuple(_apply_effect(keys, f"{path.name}: effects.{k}") for k, keys in enumerate(content["effects"]))
     names = [applied.effect.name for applied in effects]
@@ -126,14 +136,17 @@ def read_model(path: Path) -> ExtendedModel:
     for k, spot in enumerate(spots.values()):
         if len(lights) > 1 and spot.light not in range(len(lights)):
             raise InputError(f"{path.name}: spots.{k}.light must say which of {len(lights)} lights it has, from 0 on")
-    law = law and ExposureLaw(float(law["p1_px"]), float(law["p2_px"]), float(law["peak_dn"]))
+    law = law_keys and ExposureLaw(float(law_keys["p1_px"]), float(law_keys["p2_px"]), float(law_keys["peak_dn"]))
     longest_s, reference_s = (float(content["exposure"][key]) for key in ("longest_s", "reference_s"))
     rows, columns = (int(content["frame"][key]) for key in ("rows_px", "columns_px"))
     return ExtendedModel(law, longest_s, reference_s, rows, columns, effects, spots, lights)
 
 
 def _read_spots(path: Path, content: Mapping[str, Any]) -> dict[Site, Spot]:
-    """Return the spots of a model.yaml by site; `content` is that of the file. Raises `InputError`."""
+    """Return the spots of a model.yaml by site; `content` holds the keys of the file.
+
+    Raises `InputError` if keys of a spot are missing or contradict the exposure law, or if two spots have one site.
+    """
     spots = {}
     for k, keys in enumerate(content.get("spots", ())):
         conditions = tuple(sorted(keys.get("conditions", {}).items()))
@@ -150,20 +163,24 @@ def _read_spots(path: Path, content: Mapping[str, Any]) -> dict[Site, Spot]:
 
 
 def _read_light_shapes(path: Path, file: str | None, effects: Sequence[AppliedEffect]) -> tuple[LightShape, ...]:
-    """Return the learned light shapes in a file beside model.yaml; none if `file` is None.
+    """Return the learned light shapes in `file`, which lies beside the model.yaml `path`; () if `file` is None.
 
-    An effect without steps stands for them. Raises `InputError` if the model has only one of the two.
+    A learned shape is also one of the effects: the one that acts at no stage, as the file holds all of it. Raises
+    `InputError` if the model has only the file or only the effect, and as `read_lights` does.
     """
-    learned = [applied.effect.name for applied in effects if not applied.effect.stages]
-    if learned and file is None:
-        raise InputError(f"{path.name}: key light is missing; {learned[0]} needs the file of its shape ({LIGHT})")
-    if file is not None and not learned:
+    learned_names = [applied.effect.name for applied in effects if not applied.effect.stages]
+    if learned_names and file is None:
+        raise InputError(f"{path.name}: key light is missing; {learned_names[0]} needs the file of its shape ({LIGHT})")
+    if file is not None and not learned_names:
         raise InputError(f"{path.name}: key light names {file}, but no effect stands for its shape; drop the key")
     return () if file is None else read_lights(path.parent / file)
 
 
 def _apply_effect(keys: Mapping[str, Any], where: str) -> AppliedEffect:
-    """Return the effect of an entry under `effects`; `where` names file and entry in messages. Raises `InputError`."""
+    """Return the effect of an entry under `effects`, whose `keys` are name, parameters and form (the variant).
+
+    `where` names file and entry in messages. Raises `InputError` for an unknown effect, variant or parameter.
+    """
     effect = vocabulary().get(keys["name"])
     if effect is None:
         raise InputError(f"{where}.name is {keys['name']}, which is no effect; known are {', '.join(vocabulary())}")

@@ -1,8 +1,9 @@
 """Write model.yaml and light.nc, which `model_file` and `light_shape` read.
 
 model.yaml holds the extended model: the exposure law, the effects with their parameters, and the spots, each identified
-by its site. light.nc holds learned light shapes s(u, v), which are added to the declared shape; u and v are places to
-the right of the spot's centre and below it, in widths σ_g of the spot.
+by its site. light.nc holds learned light shapes s(u, v), which are added to the declared shape and divided by its peak;
+u and v are places to the right of the spot's centre and below it, in widths σ_g of the spot. A shape is a sum of cubic
+B-splines on a square of nodes. A finer layer, with nodes closer together, may be added to it.
 """
 
 import json
@@ -68,7 +69,7 @@ def _model_lines(model: ExtendedModel, dataset: str, status: str) -> Iterator[st
 
 
 def _effect_lines(applied: AppliedEffect) -> Iterator[str]:
-    """Yield the lines of an effect under the key `effects`."""
+    """Yield the lines of an effect under the key `effects`: name, variant (`form`, if it has a text) and parameters."""
     effect = applied.effect
     yield f"  - name: {effect.name}  # {effect.sentence}"
     if applied.variant.value:
@@ -80,7 +81,7 @@ def _effect_lines(applied: AppliedEffect) -> Iterator[str]:
 
 
 def _spot_entries(site: Site, spot: Spot) -> Iterator[str]:
-    """Yield the entries "key: value" of the line of a spot; unknown values (None) are left out."""
+    """Yield the entries "key: value" of the line of a spot, first those of its site; None, unknown, is left out."""
     # The entries of a site identify it when the file is read, so they keep all digits.
     identity = {"angle_deg": site.angle_deg, "exposure_s": site.exposure_s, "repeat": site.repeat}
     yield from (f"{key}: {value!r}" for key, value in identity.items() if value is not None)
@@ -103,28 +104,29 @@ class LightFile:
     dataset: str  # name of the dataset from which the shape was learned
     code: str  # digest of the code that learned the shape
     inputs: Sequence[str | Path] = ()  # files from which the shape was learned
-    # Attributes that describe the light, such as `described`.
+    # Further netCDF attributes of a file with a shape, such as `described`.
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def titles(self) -> dict[str, Any]:
-        """Attributes that every light.nc has, with or without a shape."""
+    def fixed_attributes(self) -> dict[str, Any]:
+        """NetCDF attributes that every light.nc has, with or without a shape."""
         return {"title": f"The light's shape, learned from {self.dataset}", "dataset": self.dataset}
 
 
 def write_light(shapes: Sequence[LightShape], file: LightFile) -> None:
     """Write learned light shapes: the coefficients of their splines, and maps of s(u, v) for display.
 
-    All shapes have the same nodes. A finer layer is written for all of them if any has one, with zeros for the others.
+    There is at least one shape. All shapes have the same nodes, and so have their finer layers. A finer layer is
+    written for all shapes if any has one, with zeros for the others.
     """
     step, node_count = float(shapes[0].step), len(shapes[0].coefficients)
-    # Places of nodes and of points of the map, over σ_g.
+    # Places along an axis in σ_g: nodes of the splines, and points of the maps.
     nodes = step * (np.arange(node_count) - (node_count - 1) / 2)
     points = np.linspace(nodes[0], nodes[-1], POINTS)
-    ds = xr.Dataset(attrs=file.titles | dict(file.attributes))
+    ds = xr.Dataset(attrs=file.fixed_attributes | dict(file.attributes))
 
     def add(name: str, dims: str | tuple[str, ...], values: Any, long_name: str) -> None:
-        """Add a variable without unit to the file."""
+        """Add a variable without unit to `ds`."""
         ds[name] = (dims, values, {"units": "1", "long_name": long_name})
 
     add("node_v", "node_v", nodes, "node below the spot's centre, over sigma_g")
@@ -149,5 +151,5 @@ def write_light(shapes: Sequence[LightShape], file: LightFile) -> None:
 
 def write_no_light(reason: str, file: LightFile) -> None:
     """Write a light.nc without a shape; its attribute `skipped` holds the reason. `file.attributes` are not written."""
-    ds = xr.Dataset(attrs=file.titles | {"skipped": reason})
+    ds = xr.Dataset(attrs=file.fixed_attributes | {"skipped": reason})
     store.write(ds, file.path, code=file.code, inputs=file.inputs)

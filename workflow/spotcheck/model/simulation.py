@@ -1,8 +1,10 @@
 """The simulate stage: write a dataset folder of random frames and a file of mean images, both from a model.
 
 The paper's model, the baseline without effects, is simulated at its calibrated parameters. The extended model, which
-adds effects, is simulated as its model.yaml says. The folder keeps the dataset contract, so that simulated frames pass
-the same stages as measured ones.
+adds effects, is simulated as its model.yaml says. With an exposure law, peak and width of a spot follow from the
+exposure; without one each spot has its own. The folder keeps the dataset contract, so that simulated frames pass the
+same stages as measured ones. A cell is a tuple of indices on the grid of the dataset: angle, exposure, repeat and
+declared conditions.
 """
 
 import csv
@@ -34,7 +36,7 @@ STACK = "frames/simulated.tif"
 # Frames are larger than the crop by this factor, so that a crop at a maximum anywhere on the plateau stays inside.
 CANVAS = 2
 
-# Cell (indices on the grid of the dataset) of each frame → peak and width of its spot.
+# Cell of each frame → peak and width of its spot.
 SpotStates = Mapping[tuple[int, ...], SpotState]
 # Name → definition of each variable of the file of mean images.
 Variables = Mapping[str, store.Variable]
@@ -65,12 +67,12 @@ class SimulatedFrame(NamedTuple):
     def values(self, side: int, variables: Variables) -> dict[str, Any]:
         """Return the values of `variables` for the file of mean images, by name.
 
-        Images are crops [side, side] in DN around the spot.
+        Images are crops [y, x] in DN of `side` px around the spot, NaN beyond the frame.
         """
         model, spot = self.model, self.spot
         frame = self._near_spot(side)
         pixels, column, row = frame.pixels, round(frame.x0), round(frame.y0)
-        # Place of the spot on the pixels that are evaluated.
+        # Row and column of the spot in the array of the pixels that are evaluated.
         centre = spotfinding.Spot(row - int(pixels.y[0, 0]), column - int(pixels.x[0, 0]), exists=True)
         light = np.broadcast_to(model.light(frame).total, (pixels.y.size, pixels.x.size))
         crop = spotfinding.cut_crop(light, centre, side)
@@ -81,7 +83,7 @@ class SimulatedFrame(NamedTuple):
         return values
 
     def _near_spot(self, side: int) -> FrameConditions:
-        """Return the conditions with only those pixels of the frame that the crop of the spot has.
+        """Return the conditions for only those pixels of the frame that lie in the crop, of `side` px, around the spot.
 
         All rows remain if light is smeared along columns, since the smear is a sum over them.
         """
@@ -108,12 +110,14 @@ class Destination:
     ) -> None:
         """Draw the frames, one for each spot frame of the dataset; write their stack and the file of mean images.
 
-        `variables` and `attributes` are those of the file of mean images. Equal frames and seeds give equal files.
+        `frames` are in the order of the manifest. `variables` and `attributes` are those of the file of mean images.
+        Equal frames and seeds give equal files.
         """
         side = dataset.instrument.crop_px
         extra = xr.Dataset(attrs={"seed": self.seed, **attributes})
         for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
             extra[name] = (name, np.arange(side, dtype="i4"), {"units": "pixel", "long_name": text})
+        # Site → its number, in the order of first appearance.
         sites: dict[Site, int] = {}
         frames = progress.track(frames, "simulating frames", len(dataset.spots))
         with (
@@ -144,8 +148,9 @@ class Destination:
 
 def _without_missing(keys: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of instrument.yaml and of its sections whose values are neither None nor infinite nor empty."""
-    known = {key: _without_missing(value) if isinstance(value, dict) else value for key, value in keys.items()}
-    return {key: value for key, value in known.items() if value not in (None, np.inf, [], {})}
+    # Sections first, as they may become empty.
+    cleaned = {key: _without_missing(value) if isinstance(value, dict) else value for key, value in keys.items()}
+    return {key: value for key, value in cleaned.items() if value not in (None, np.inf, [], {})}
 
 
 class NoiseFreeModel(ForwardModel):
@@ -191,14 +196,20 @@ def simulate(
 
 
 def _baseline_frames(dataset: Dataset, states: SpotStates, model: ForwardModel) -> Iterator[SimulatedFrame]:
-    """Yield every frame of the paper's model, with its spot in the middle of the canvas."""
+    """Yield every frame of the paper's model in the order of the manifest, with its spot in the middle of the frame.
+
+    Frames are `CANVAS` times as large as a crop. `states` has peak and width of each spot by cell.
+    """
     side = CANVAS * dataset.instrument.crop_px
     grid, middle = crop_grid(range(side), range(side), side, side), side // 2
     for cell, row in dataset.cells():
         # A frame without a usable spot is simulated as one without light.
         spot = states[cell] if np.isfinite(states[cell].peak_dn) else SpotState(0.0, 1.0)
-        # Without a law peak and width are given; the exposure counts for the dark current only.
-        conditions = FrameConditions(grid, middle, middle, row.exposure_s or 0.0, 1.0, 1.0, **asdict(spot))
+        # Without a law peak and width are given, and the exposure counts for the dark current only: the longest and the
+        # reference exposure are not used.
+        conditions = FrameConditions(
+            grid, middle, middle, row.exposure_s or 0.0, longest_s=1.0, reference_s=1.0, **asdict(spot)
+        )
         yield SimulatedFrame(model, conditions, states[cell])
 
 
@@ -242,9 +253,10 @@ def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sens
 
 
 def _spots_of_frames(dataset: Dataset, model: ExtendedModel) -> list[Spot]:
-    """Return the spot of every spot frame, in px of the sensor.
+    """Return the spot of every spot frame in the order of the manifest, in px of the sensor.
 
-    A spot that the model does not know is at the mean position of the others, and has no peak or width.
+    A spot that the model does not know is at the mean position of the known ones, or else in the middle of the sensor.
+    It has no peak or width.
     """
     centres = [(spot.x_px, spot.y_px) for spot in model.spots.values()]
     unknown = Spot(*np.mean(centres or [((model.columns - 1) / 2, (model.rows - 1) / 2)], axis=0))
@@ -253,7 +265,10 @@ def _spots_of_frames(dataset: Dataset, model: ExtendedModel) -> list[Spot]:
 
 
 def _window(centres_px: Sequence[float], side: int, pixels: int) -> range:
-    """Return the pixels along one axis within `side` [px] of all centres; the sensor has `pixels` along it."""
+    """Return the range of pixels along one axis that holds all centres with a margin of `side` [px] on both ends.
+
+    It ends at the edges of the sensor, which has `pixels` along the axis, and has at least `side` pixels.
+    """
     low = int(np.clip(np.floor(min(centres_px)) - side, 0, pixels - side))
     return range(low, int(np.clip(np.ceil(max(centres_px)) + side + 1, low + side, pixels)))
 
@@ -295,10 +310,14 @@ def _extended_frames(
 
 
 def _simulated_instrument(dataset: Dataset, sensor: SensorModel) -> dict[str, Any]:
-    """Return the keys of instrument.yaml with which the extended model was simulated, for later analysis."""
+    """Return the sections of instrument.yaml with which the extended model was simulated, for later analysis.
+
+    They are those of the dataset, with the values of `sensor`. None stands for keys that are not written.
+    """
     instrument, full_scale = dataset.instrument, int(sensor.full_scale_dn)
     bit_depth = full_scale.bit_length()
     keys = {"pixel_pitch_m": instrument.sensor.pixel_pitch_m, "bit_depth": bit_depth} | asdict(sensor)
+    # Stated only if it is below the end of the range of the bit depth.
     keys["full_scale_dn"] = full_scale if full_scale < 2**bit_depth - 1 else None
     sections = {name: asdict(getattr(instrument, name)) for name in ("optics", "laser", "material", "model")}
     light = {"profile": instrument.light.profile and LIGHT}
