@@ -1,9 +1,11 @@
 """The forward model: mean and variance of the readings of a frame, their derivatives, and random frames.
 
 An effect has steps: functions that act at stages of the chain from laser to reading. A random step also takes a number
-or field that is drawn; `drawn` holds these draws by step. `expected`, `jacobian` and `sample` go through the same
+or field that is drawn; `drawn` holds these draws by step. A quadrature of a random step has nodes, values of the draw
+with weights, whose weighted sums are means over the draw. `expected`, `jacobian` and `sample` go through the same
 stages in the same order: `light` up to the gains of pixels, then `sensor_input` and `distribution`, which make one
-`ReadingDistribution` of the stages of the sensor.
+`ReadingDistribution` of the stages of the sensor. Its tables give mean and variance of a reading, and their slopes, as
+functions of the light.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,12 +23,13 @@ from spotcheck.model.light import NOTHING_DRAWN, Drawn, ExposureLaw, Light, Ligh
 from spotcheck.model.stage import Stage
 from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
 
-# Random steps at these stages are averaged in the tables of readings, as each pixel has a draw of its own.
+# Random steps at these stages are averaged in the tables of readings, as their draws differ from pixel to pixel.
 TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
-# Stages whose parameters are differentiated through new tables, all others through the slopes of one table.
+# Stages from the gains of pixels on. Derivatives by a parameter of an effect there need new tables; those by all others
+# use the slopes of one table.
 SENSOR_STAGES = tuple(Stage)[tuple(Stage).index(Stage.PIXEL_GAIN) :]
-# Light of the brightest grain for which tables of granular light are made, over the mean light [1]. Readings of
-# brighter grains count as those of this one.
+# Granular light is light that a random field multiplies. Tables for it go up to grains of this brightness, divided by
+# the mean light [1]. Readings of brighter grains count as those of this one.
 BRIGHTEST_GRAIN = 16.0
 # Decimals of a pedestal [DN] to which pixels must agree for it to count as even: rounding differs between pixels.
 EVEN_DIGITS = 9
@@ -44,7 +47,8 @@ OFFSET_STEP, LEAST_OFFSET_STEP_DN = 1 / 4, 1e-3
 CUBIC_NODES = (-1, 0, 1, 2)
 # Least variance of readings of granular light, over that without offsets: a guard of the sum of two corrections.
 LEAST_VARIANCE_SHARE = 0.1
-# Least scale of the step in a parameter of an effect, in its unit, and of the law or the frame.
+# Least scale of the step in a central difference: for a parameter of an effect, and for one of the law or the frame,
+# in the unit of the parameter.
 LEAST_EFFECT_SCALE, LEAST_LAW_SCALE = 1e-3, 1.0
 # Parameters of the exposure law, `ExposureLaw`.
 LAW_PARAMETERS = ("p1", "p2", "peak_dn")
@@ -80,7 +84,7 @@ class RandomStreams:
     site: int  # number of its site, from 0
 
     def readings(self) -> np.random.Generator:
-        """Return the generator for the noise of the readings of this frame."""
+        """Return the generator of the noise in the readings of this frame."""
         return _generator(self.seed, self.frame)
 
     def key(self, scope: Scope) -> int:
@@ -114,7 +118,7 @@ class ForwardModel(LightStages):
     def expected(self, frame: FrameConditions) -> ExpectedReading:
         """Return mean and variance of every reading of a frame over all random numbers.
 
-        They are those of frames that `sample` draws with different seeds.
+        They are those of the frames that `sample` draws with different seeds.
         """
         # A mixture over the draws of random steps; the law of total variance gives its variance.
         nodes = self._quadrature_nodes()
@@ -124,9 +128,10 @@ class ForwardModel(LightStages):
         return ExpectedReading(np.asarray(mean), np.asarray(variance))
 
     def sample(self, frame: FrameConditions, streams: RandomStreams) -> np.ndarray:
-        """Return one random frame [row, column] in DN (uint16)."""
+        """Return one random frame [row, column] in DN (uint16), drawn with the random numbers of `streams`."""
         pixels = frame.pixels
         shape = (np.size(pixels.y), np.size(pixels.x))
+        # Level [DN] at which the charge of each pixel stops; infinite without a random step at the well.
         drawn, levels_dn = {}, np.inf
         for step, random_step in self._random_steps():
             drawn[step] = _draw(step, shape, streams.seed, streams.key(random_step.scope))
@@ -158,11 +163,11 @@ class ForwardModel(LightStages):
 
         Notes
         -----
-        The derivative by a parameter of the light is the slope of mean or variance by the light, which their table
-        gives, times the derivative of the light. The latter is in closed form if a step has one, else a central
-        difference through the stages of the light. Central differences through the whole model replace this for effects
-        at the exposure and from the gains of pixels on, and for all parameters if the model has a random step or a step
-        at charge or smear.
+        The derivative by a parameter of the light is the slope of mean or variance by the light, which a table gives,
+        times the derivative of the light. The latter has a closed form for some steps; otherwise it is a central
+        difference through the stages of the light. Central differences through the whole model are used instead for
+        effects at the exposure and from the gains of pixels on. They are used for all parameters if the model has a
+        random step, or a step at charge or smear.
         """
         pairs = [self._differentiate(frame, name) for name in parameters]
         return np.array([mean for mean, _ in pairs]), np.array([variance for _, variance in pairs])
@@ -174,6 +179,7 @@ class ForwardModel(LightStages):
     ) -> SensorInput:
         """Return the input of the sensor in a frame; `light` is the light of the frame if it is already computed."""
         light, sensor = light or self.light(frame, drawn), self.sensor
+        # Mean electrons of light and dark current.
         mean_e = light.total / sensor.gain_dn_per_e + sensor.dark_current_e_per_s * self.true_exposure(frame, drawn)
         charge_e = self.apply_stage(Stage.CHARGE, drawn, frame, mean_e)
         # Dark electrons are part of the pedestal, so that frames of all exposures share one distribution.
@@ -207,7 +213,7 @@ class ForwardModel(LightStages):
         )
 
     def moments(self, inputs: SensorInput, drawn: Drawn = NOTHING_DRAWN) -> ReadingMoments:
-        """Return mean and variance of the readings of a frame and their slopes by the light, each [row, column].
+        """Return mean [DN] and variance [DN²] of the readings of a frame and their slopes by the light, [row, column].
 
         They are averaged over random steps at the speckle field and at the well that are not in `drawn`.
         """
@@ -215,6 +221,7 @@ class ForwardModel(LightStages):
         grains = [step for step in self.steps_at(Stage.SPECKLE_FIELD) if step.random_step and step not in drawn]
         if not grains:
             return moments_with_offsets(distribution, light.total, inputs.smear_e, inputs.offset_dn)
+        # Moments of granular light on an even pedestal, the mean one, without smear and offsets.
         # ASSUME: uneven pedestals, gains and offsets of pixels, and smear are small beside the light that clips, so
         # that the changes of the moments by them and by grains add up.
         even_pedestal = round(float(np.mean(light.pedestal)), EVEN_DIGITS)
@@ -226,6 +233,7 @@ class ForwardModel(LightStages):
         is_even = np.max(np.abs(light.pedestal - even_pedestal)) < 10.0**-EVEN_DIGITS
         if is_even and np.all(inputs.smear_e == 0) and np.all(inputs.offset_dn == 0):
             return granular
+        # Add the change of the moments by uneven pedestals, smear and offsets, from light without grains.
         smooth = np.array(moments_with_offsets(distribution, light.total, inputs.smear_e, inputs.offset_dn))
         smooth_even = np.array(moments_with_offsets(distribution, light.spot + even_pedestal))
         mean, variance, *slopes = np.array(granular) + smooth - smooth_even
@@ -234,16 +242,18 @@ class ForwardModel(LightStages):
     # Random steps.
 
     def _random_steps(self) -> Iterator[tuple[AppliedStep, RandomStep]]:
-        """Yield the random steps of all effects, with and without parameters, in the order of the stages."""
+        """Yield the random steps of all effects in the order of the stages: with its parameters, and without."""
         for stage in Stage:
             yield from ((step, step.random_step) for step in self.steps_at(stage) if step.random_step)
 
     def _quadrature_nodes(self) -> Iterator[tuple[float, Drawn]]:
-        """Yield weights and draws whose weighted sums are means over random steps, except those at `TABULATED`.
+        """Yield weights and draws whose weighted sums are means over all random steps, except those at `TABULATED`.
 
-        Without random steps there is one node, without draws and with weight 1.
+        They are the products of the quadratures of all steps. Without such steps there is one node, without draws and
+        with weight 1.
         """
         steps = [step for step, random_step in self._random_steps() if random_step.stage not in TABULATED]
+        # Pairs (value, weight) of the nodes of each step.
         quadratures = [list(zip(*step.quadrature(), strict=True)) for step in steps]
         for nodes in product(*quadratures):
             weight = float(np.prod([node_weight for _, node_weight in nodes]))
@@ -252,11 +262,11 @@ class ForwardModel(LightStages):
     # Derivatives.
 
     def _differentiate(self, frame: FrameConditions, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of mean and variance [row, column] by one parameter; see `jacobian`."""
+        """Return the derivatives of mean and variance [row, column] by the parameter `name`; see `jacobian`."""
         effect_name = name.rpartition(".")[0]
         stages = {step.stage for applied in self.effects if applied.effect.name == effect_name
                   for step in applied.effect.variants[applied.variant]}  # fmt: skip
-        # Charge and smear of a pixel depend on the light of other pixels.
+        # At these stages a pixel depends on the light of other pixels, so the slopes of a table do not suffice.
         mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in self.steps_at(stage)]
         if mixing or any(self._random_steps()) or stages & {Stage.EXPOSURE, *SENSOR_STAGES}:
             return tuple(
@@ -269,7 +279,10 @@ class ForwardModel(LightStages):
         return moments.mean_slope * slope, moments.variance_slope * slope
 
     def _closed_form_slope(self, frame: FrameConditions, name: str) -> np.ndarray | None:
-        """Return the derivative of the light [DN] by a parameter in closed form; None if no step has one."""
+        """Return the derivative of the light [DN] by the parameter `name` in closed form; None if no step has one.
+
+        The unit is DN per unit of the parameter. `name` is "NAME.PARAMETER" for an effect.
+        """
         effect_name, _, parameter = name.rpartition(".")
         for stage in (Stage.BRIGHTNESS, Stage.PEDESTAL):
             steps = self.steps_at(stage)
@@ -292,9 +305,10 @@ class ForwardModel(LightStages):
     def _central_difference(
         self, frame: FrameConditions, name: str, relative_step: float, function: Callable[..., np.ndarray]
     ) -> np.ndarray:
-        """Return the derivative of `function(model, frame)` by one parameter as a central difference.
+        """Return the derivative of `function(model, frame)` by the parameter `name` as a central difference.
 
-        `relative_step` is the step over the scale on which readings change with the parameter.
+        `relative_step` is the step divided by the scale on which readings change with the parameter. Raises `KeyError`
+        if there is no such parameter.
         """
         effect_name, _, parameter = name.rpartition(".")
         applied = {applied.effect.name: applied for applied in self.effects}[effect_name] if effect_name else None
@@ -305,7 +319,7 @@ class ForwardModel(LightStages):
             raise KeyError(name)
 
         def evaluate(value: float) -> np.ndarray:
-            """Return the function at another value of the parameter."""
+            """Return `function` of the model and the frame with the parameter at `value`."""
             change: dict[str, Any] = {name: value}
             if applied:
                 changed = applied.with_value(parameter, value)
@@ -332,7 +346,7 @@ def moments_with_offsets(
     Parameters
     ----------
     distribution : ReadingDistribution
-        Distribution of a reading of a pixel without offset.
+        Distribution of a reading as a function of its light, for a pixel without offset.
     light : array [row, column]
         Light of each pixel [DN].
     smear_e : float or array that broadcasts
@@ -357,12 +371,12 @@ def moments_with_offsets(
     offset_dn = np.broadcast_to(offset_dn, np.shape(light))
     step = max(np.sqrt(distribution.noise_dn**2 + ROUNDING_VARIANCE) * OFFSET_STEP, LEAST_OFFSET_STEP_DN)
     # Offset of each pixel in steps: its whole number of steps, and the rest.
-    steps = offset_dn / step
-    low = np.floor(steps).astype(int)
-    fraction = steps - low
+    offset_steps = offset_dn / step
+    low = np.floor(offset_steps).astype(int)
+    fraction = offset_steps - low
     sums = [np.zeros(np.shape(light)) for _ in ReadingMoments._fields]
     black_level = distribution.sensor.black_level_dn
-    # Each table contributes to the pixels for which it is one of the four nodes.
+    # One table for each whole number of steps. It contributes to the pixels for which it is one of `CUBIC_NODES`.
     for node in range(int(low.min()) + CUBIC_NODES[0], int(low.max()) + CUBIC_NODES[-1] + 1):
         distance = node - low
         is_near = (distance >= CUBIC_NODES[0]) & (distance <= CUBIC_NODES[-1])
@@ -376,7 +390,11 @@ def moments_with_offsets(
 
 
 def _lagrange(fraction: np.ndarray, node: np.ndarray) -> np.ndarray:
-    """Return the weight [pixel] of a node in the cubic through `CUBIC_NODES`, at the place `fraction` beyond node 0."""
+    """Return the Lagrange weight [pixel] of a node in the cubic through `CUBIC_NODES`.
+
+    `node` [pixel] is one of `CUBIC_NODES`; the cubic is evaluated at `fraction` [pixel] of a step beyond node 0.
+    """
+    # The factor of the node itself is 1, with a divisor that is not 0.
     factors = [np.where(node == k, 1.0, (fraction - k) / np.where(node == k, 1, node - k)) for k in CUBIC_NODES]
     return reduce(np.multiply, factors)
 
@@ -385,9 +403,9 @@ def _lagrange(fraction: np.ndarray, node: np.ndarray) -> np.ndarray:
 def _granular_table(
     table: ReadingTable, grains: tuple[AppliedStep, ...], pedestal_dn: float, light_max: float
 ) -> ReadingTable:
-    """Return the table of readings whose light, up to `light_max` [DN], is multiplied by random grains.
+    """Return the table of readings of granular light: the light of `table`, multiplied by the random steps `grains`.
 
-    The light of the pedestal [DN] has no grains.
+    It goes up to the mean light `light_max` [DN]. The light of the pedestal, `pedestal_dn`, has no grains.
     """
     for step in grains:
         table = table.with_random_factor(*step.quadrature(), pedestal_dn, light_max)
@@ -398,7 +416,8 @@ def _granular_table(
 def _draw(step: AppliedStep, shape: tuple[int, int], seed: int, key: int) -> Any:
     """Return the drawn number or field [row, column] of a random step, for a frame of `shape` (rows, columns).
 
-    `key` is the number of the frame, site or sensor. Draws are cached, as frames of a site follow each other.
+    `key` is the number of the frame, site or sensor (`RandomStreams.key`). Draws are cached, as frames of a site follow
+    each other.
     """
     assert step.random_step is not None
     # Each step of an effect has a generator of its own. The key of the first step ends without its index.
