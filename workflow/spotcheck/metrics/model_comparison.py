@@ -71,13 +71,10 @@ def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedM
     for variable, metric in METRICS.items():
         # Values of measured frames, then of both simulations [grid..., and dimensions of `PAPER_CHOICE`].
         if variable == "psnr":
-            series = (declared["psnr_repeats"], declared["psnr"], extended["psnr"])
+            series = [declared["psnr_repeats"], declared["psnr"], extended["psnr"]]
         else:
-            series = (
-                declared[variable].sel(source="measured"),
-                declared[variable].sel(source="simulated"),
-                extended[variable].sel(source="simulated"),
-            )
+            sources = ((declared, "measured"), (declared, "simulated"), (extended, "simulated"))
+            series = [ds[variable].sel(source=source) for ds, source in sources]
         on_grid = [_choose_as_paper(values) for values in series]
         dims = [str(dim) for dim in on_grid[0].dims if dim != "repeat"]
         for index in _iterate_conditions(on_grid[0], dims):
@@ -96,12 +93,10 @@ def summarise_comparison(rows: Sequence[ComparedMetric]) -> dict[str, tuple[floa
 
     Distances are those of `ComparedMetric.distances`; conditions where they are NaN are left out.
     """
-    distances: dict[str, list[tuple[float, float]]] = {}
-    for row in rows:
-        distances.setdefault(row.metric, []).append(row.distances())
     summary = {}
-    for metric, pairs in distances.items():
-        known = np.array([pair for pair in pairs if np.isfinite(pair).all()]).reshape(-1, 2)
+    for metric in dict.fromkeys(row.metric for row in rows):
+        distances = np.array([row.distances() for row in rows if row.metric == metric])
+        known = distances[np.isfinite(distances).all(axis=1)]
         summary[metric] = (float(known[:, 0].mean()), float(known[:, 1].mean())) if len(known) else (np.nan, np.nan)
     return summary
 

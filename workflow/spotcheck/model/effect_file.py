@@ -40,9 +40,8 @@ ROWS, COLUMNS = 10, 12  # [px]
 GRID = crop_grid(range(COLUMNS), range(ROWS), COLUMNS, ROWS)
 # A small spot, and the same at another exposure and angle and another place in the order of acquisition.
 FRAME = FrameConditions(
-    GRID, x0=5.3, y0=4.6, exposure_s=1e-4, longest_s=2e-4, reference_s=2e-4, angle=0.0, order=0.0, peak_dn=640.0,
-    sigma_px=3.0,
-)  # fmt: skip
+    GRID, x0=5.3, y0=4.6, exposure_s=1e-4, longest_s=2e-4, reference_s=2e-4, order=0.0, peak_dn=640.0, sigma_px=3.0
+)
 FRAMES = (FRAME, replace(FRAME, exposure_s=2e-4, angle=np.pi / 2, order=1.0))
 # The model without an effect.
 PLAIN = ForwardModel(Baseline(laser_px=0.0, photon_budget="free", top_hat=False, longest_s=2e-4), SENSOR)

@@ -207,9 +207,8 @@ def _baseline_frames(dataset: Dataset, states: SpotStates, model: ForwardModel) 
         spot = states[cell] if np.isfinite(states[cell].peak_dn) else SpotState(0.0, 1.0)
         # Without a law peak and width are given, and the exposure counts for the dark current only: the longest and the
         # reference exposure are not used.
-        conditions = FrameConditions(
-            grid, middle, middle, row.exposure_s or 0.0, longest_s=1.0, reference_s=1.0, **asdict(spot)
-        )
+        exposure_s = row.exposure_s or 0.0
+        conditions = FrameConditions(grid, middle, middle, exposure_s, longest_s=1.0, reference_s=1.0, **asdict(spot))
         yield SimulatedFrame(model, conditions, states[cell])
 
 

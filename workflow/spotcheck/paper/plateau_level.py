@@ -23,15 +23,10 @@ def estimate_plateau_levels(
 
     Parameters
     ----------
-    instrument : instrument file, which must have all keys of Table 3 of the paper.
+    instrument : instrument file; raises `InputError` unless it has all keys of Table 3 of the paper.
     exposure_s : exposure time [s].
     p1, p2 : parameters of the beam propagation p_b [px]: its slope over ln t, and its value at 1 s.
     gain : gain [DN/e-].
-
-    Raises
-    ------
-    InputError
-        If a key of Table 3 is missing.
     """
     pitch, wavelength = require_key(instrument, "sensor.pixel_pitch_m"), require_key(instrument, "laser.wavelength_m")
     power, f_number = require_key(instrument, "laser.power_w"), require_key(instrument, "optics.f_number")

@@ -85,7 +85,7 @@ def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
 
     The difference has empty lists where there is none. Raises `InputError` as `choose` does.
     """
-    effects, own = dict(built_in()), []
+    effects, entries = dict(built_in()), []
     for file in choice.files:
         effect, digest = read_effect(Path(file))
         numbers = {other.number: other.name for other in effects.values()}
@@ -95,11 +95,11 @@ def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
             raise InputError(f"{file}: number {effect.number} is that of {other}; leave it out for the next free one")
         # 0 stands for the next free number.
         effects[effect.name] = replace(effect, number=effect.number or max(numbers) + 1)
-        own.append({"name": effect.name, "file": Path(file).name, "sha256": digest})
+        entries.append({"name": effect.name, "file": Path(file).name, "sha256": digest})
     known = f"known effects: {', '.join(effects)}"
     # A special case is what an effect can imitate: another effect, or all laws of a property of the spot
     # (`PROPERTIES`).
-    for file, entry in zip(choice.files, own, strict=True):
+    for file, entry in zip(choice.files, entries, strict=True):
         for special_case in sorted(set(effects[entry["name"]].special_cases) - {*effects, *PROPERTIES}):
             raise InputError(f"{file}: special_cases names {special_case}, which is no effect; {known}")
     if choice.only and choice.without:
@@ -111,5 +111,5 @@ def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
     if not kept_names:
         raise InputError("vocabulary: without names every effect; leave at least one")
     kept = _sort_by_number(effects[name] for name in kept_names)
-    kept_own = [entry for entry in own if entry["name"] in kept]
-    return kept, {"own": kept_own, "left_out": [name for name in effects if name not in kept]}
+    kept_entries = [entry for entry in entries if entry["name"] in kept]
+    return kept, {"own": kept_entries, "left_out": [name for name in effects if name not in kept]}

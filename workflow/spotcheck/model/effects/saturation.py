@@ -56,9 +56,8 @@ def limit_by_power(signal_dn, *, level, knee):
     Signals up to `LEAST_SIGNAL_DN` stay as they are.
     """
     log_ratio = np.log(np.maximum(signal_dn, LEAST_SIGNAL_DN) / level)
-    return np.where(
-        signal_dn > LEAST_SIGNAL_DN, level * np.exp(log_ratio - knee * np.logaddexp(0.0, log_ratio / knee)), signal_dn
-    )
+    limited = level * np.exp(log_ratio - knee * np.logaddexp(0.0, log_ratio / knee))
+    return np.where(signal_dn > LEAST_SIGNAL_DN, limited, signal_dn)
 
 
 def draw_levels(rng, shape, *, level, scatter):
