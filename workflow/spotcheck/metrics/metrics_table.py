@@ -46,6 +46,10 @@ class FrameSource(NamedTuple):
         """Return whether the crops of a frame are usable in every centring."""
         return all(is_usable(status) for status in self.crops["status"].isel(index).values)
 
+    def maximum_at(self, index: Index) -> np.ndarray:
+        """Return the crop of a frame around its brightest pixel [y, x] in DN."""
+        return self.crops["image"].sel(centring="maximum").isel(index).values
+
     def spot_at(self, index: Index) -> tuple[np.ndarray, np.ndarray]:
         """Return the crop of a frame centred on the light [y, x] in DN, and its fitted centre (row, column).
 
@@ -168,8 +172,8 @@ def _compute_psnr(
     """Return PSNR [grid..., registration, data range] in dB between each measured frame and its partner in `other`.
 
     `find_partner` gives the index of the partner, or None. The data ranges are that of the container and `full_scale`
-    [DN], the largest reading of the sensor. NaN without a partner, if a crop of either frame is not
-    usable in every centring, and for "fitted" if either has no fit.
+    [DN], the largest reading of the sensor. NaN without a partner, if a crop of either frame is unusable in any
+    centring, and for "fitted" if either has no fit.
     """
     values = np.full((*(measured.crops.sizes[dim] for dim in grid), len(REGISTRATIONS), len(DATA_RANGES)), np.nan)
     for index in iterate_cells(measured.crops, grid):
@@ -178,22 +182,18 @@ def _compute_psnr(
         partner = find_partner(index)
         if partner is None or not other.is_usable_at(partner):
             continue
-        at_maximum = [
-            source.crops["image"].sel(centring="maximum").isel(cell).values
-            for source, cell in ((measured, index), (other, partner))
-        ]
         # Pairs of images in the order of `REGISTRATIONS`.
+        at_maximum = (measured.maximum_at(index), other.maximum_at(partner))
         for k, images in enumerate((at_maximum, _align_centres(measured.spot_at(index), other.spot_at(partner)))):
             if images is not None:
-                values[(*index.values(), k)] = [
-                    psnr(*images, data_range) for data_range in (CONTAINER_RANGE, full_scale)
-                ]
+                ratios = [psnr(*images, data_range=data_range) for data_range in (CONTAINER_RANGE, full_scale)]
+                values[(*index.values(), k)] = ratios
     return values
 
 
 def _align_centres(
     reference: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]
-) -> list[np.ndarray] | None:
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Return two images [y, x], the second shifted so that its fitted centre lies on that of the first.
 
     Each argument is an image and its fitted centre (row, column) [px of the image]. None unless both have a fit; the
@@ -201,7 +201,7 @@ def _align_centres(
     """
     (image, centre), (other_image, other_centre) = reference, other
     shift = centre - other_centre
-    return [image, shift_image(other_image, *map(float, shift))] if np.isfinite(shift).all() else None
+    return (image, shift_image(other_image, *map(float, shift))) if np.isfinite(shift).all() else None
 
 
 def _add_averages(ds: xr.Dataset) -> xr.Dataset:

@@ -79,6 +79,7 @@ def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedM
         dims = [str(dim) for dim in on_grid[0].dims if dim != "repeat"]
         for index in _iterate_conditions(on_grid[0], dims):
             measured, *simulated = (values.isel(index).values.astype(float) for values in on_grid)
+            # Repeats are numbered by their position on the grid.
             is_held_out = held_out_repeats(np.arange(len(measured)))
             tested = measured[is_held_out] if np.isfinite(measured[is_held_out]).any() else measured
             # Dimensions without a coordinate were not recorded.

@@ -125,15 +125,16 @@ class Destination:
             store.write_with_sidecar(self.folder / STACK) as scratch,
             tifffile.TiffWriter(scratch) as stack,
         ):
-            for number, (frame, (cell, row)) in enumerate(zip(frames, dataset.cells(), strict=True)):
+            for number, (frame, (cell, manifest_row)) in enumerate(zip(frames, dataset.cells(), strict=True)):
                 # Frames of a site at different exposures share its random numbers.
-                site = sites.setdefault(site_of(row, dataset.instrument.conditions, has_law=True), len(sites))
+                key = site_of(manifest_row, dataset.instrument.conditions, has_law=True)
+                site = sites.setdefault(key, len(sites))
                 readings = frame.model.sample(frame.conditions, RandomStreams(self.seed, number, site))
                 stack.write(readings, compression="zlib", contiguous=False, metadata=None, software="")
                 writer.put(cell, frame.values(side, variables))
 
-    def write_contract(self, dataset: Dataset, instrument: Mapping[str, Any]) -> None:
-        """Write manifest.csv with the spot frames of the dataset, and instrument.yaml with the keys in `instrument`."""
+    def write_contract(self, dataset: Dataset, sections: Mapping[str, Any]) -> None:
+        """Write manifest.csv with the spot frames of the dataset, and instrument.yaml with `sections` of keys."""
         columns = ["file", "page", "kind", "angle_deg", "exposure_s", "repeat", *dataset.instrument.conditions]
         table = io.StringIO()
         writer = csv.DictWriter(table, columns, extrasaction="ignore", lineterminator="\n")
@@ -142,7 +143,7 @@ class Destination:
             writer.writerow({**vars(frame), **frame.extra, "file": STACK, "page": page})
         store.write_text(self.folder / "manifest.csv", table.getvalue())
         content = {"name": f"{dataset.title} (simulated)", "crop_px": dataset.instrument.crop_px}
-        keys = _without_missing({**content, "conditions": list(dataset.instrument.conditions), **instrument})
+        keys = _without_missing({**content, "conditions": list(dataset.instrument.conditions), **sections})
         store.write_text(self.folder / "instrument.yaml", yaml.safe_dump(keys, sort_keys=False))
 
 
@@ -202,12 +203,12 @@ def _baseline_frames(dataset: Dataset, states: SpotStates, model: ForwardModel) 
     """
     side = CANVAS * dataset.instrument.crop_px
     grid, middle = crop_grid(range(side), range(side), side, side), side // 2
-    for cell, row in dataset.cells():
+    for cell, manifest_row in dataset.cells():
         # A frame without a usable spot is simulated as one without light.
-        spot = states[cell] if np.isfinite(states[cell].peak_dn) else SpotState(0.0, 1.0)
+        spot = states[cell] if np.isfinite(states[cell].peak_dn) else SpotState(peak_dn=0.0, sigma_px=1.0)
         # Without a law peak and width are given, and the exposure counts for the dark current only: the longest and the
         # reference exposure are not used.
-        exposure_s = row.exposure_s or 0.0
+        exposure_s = manifest_row.exposure_s or 0.0
         conditions = FrameConditions(grid, middle, middle, exposure_s, longest_s=1.0, reference_s=1.0, **asdict(spot))
         yield SimulatedFrame(model, conditions, states[cell])
 
@@ -240,7 +241,11 @@ def simulate_extended(
 
 
 def check_model(dataset: Dataset, model: ExtendedModel, baseline: Baseline, sensor: SensorModel, name: str) -> None:
-    """Raise `InputError` if a model does not fit the instrument or the design; `name` is the name of its file."""
+    """Raise `InputError` if a model does not fit the instrument or the design; `name` is the name of its file.
+
+    It fits if there are spot frames, if the photon budget is not "free" beside an exposure law, if a crop is not larger
+    than the frame, and if parameters of effects are within their bounds.
+    """
     budget, crop = baseline.photon_budget, dataset.instrument.crop_px
     if not dataset.spots:
         raise InputError("manifest.csv: has no frame of kind spot; there is nothing to simulate")
@@ -259,7 +264,7 @@ def _spots_of_frames(dataset: Dataset, model: ExtendedModel) -> list[Spot]:
     """
     centres = [(spot.x_px, spot.y_px) for spot in model.spots.values()]
     unknown = Spot(*np.mean(centres or [((model.columns - 1) / 2, (model.rows - 1) / 2)], axis=0))
-    sites = (site_of(row, dataset.instrument.conditions, model.law is not None) for row in dataset.spots)
+    sites = (site_of(frame, dataset.instrument.conditions, model.law is not None) for frame in dataset.spots)
     return [model.spots.get(site, unknown) for site in sites]
 
 
@@ -280,29 +285,30 @@ def _extended_frames(
     `spots` has the spot of each frame, `grid` the pixels to simulate; `name` is the name of the model file.
     """
     last = len(spots) - 1
-    for number, (row, spot) in enumerate(zip(dataset.spots, spots, strict=True)):
+    for number, (manifest_row, spot) in enumerate(zip(dataset.spots, spots, strict=True)):
         conditions = FrameConditions(
             pixels=grid,
             x0=float(spot.x_px),
             y0=float(spot.y_px),
             # Exposures that were not recorded count as one second, and an unknown order as its middle, as in the
             # verdict.
-            exposure_s=1.0 if row.exposure_s is None else row.exposure_s,
+            exposure_s=1.0 if manifest_row.exposure_s is None else manifest_row.exposure_s,
             longest_s=extended.longest_s,
             reference_s=extended.reference_s,
-            angle=float(np.deg2rad(row.angle_deg or 0.0)),
+            angle=float(np.deg2rad(manifest_row.angle_deg or 0.0)),
             order=number / last if dataset.instrument.order_known and last else 0.5,
             # Used only without a law; a frame without a usable spot is then simulated as one without light.
             peak_dn=float(spot.peak_dn or 0.0),
             sigma_px=float(spot.sigma_px or 1.0),
         )
+        # The model's own learned shape replaces that of the instrument.
         learned = extended.light_of(spot) or model.baseline.learned
         frame_model = replace(model, baseline=replace(model.baseline, learned=learned))
         state = frame_model.spot(conditions)
         peak, width = state.peak_dn, state.sigma_px
         if not (0 <= peak < np.inf and 0 < width < np.inf):
             raise InputError(
-                f"{name}: gives {row.label} peak {peak:g} DN and width {width:g} px; the width must be above 0, and the"
+                f"{name}: gives {manifest_row.label} peak {peak:g} DN and width {width:g} px; the width must be above 0, and the"
                 " peak 0 or more"
             )
         yield SimulatedFrame(frame_model, conditions, state)
