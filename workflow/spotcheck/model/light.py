@@ -90,6 +90,7 @@ class LightStages:
         """
         baseline, law = self.baseline, self.law
         if law is None:
+            # Effects on the width change only its factor then.
             width = self.apply_stage(Stage.WIDTH, drawn, frame, WidthLaw(lambda exposure_s: frame.sigma_px))
             peak, sigma = frame.peak_dn, frame.sigma_px * width.factor
         else:
@@ -167,9 +168,10 @@ def convolve_shifts(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     The first axis is dx [px], dy [px] and weight [1]. Further axes, which broadcast, are those of frames whose copies
     differ.
     """
-    # Missing axes of frames have the length 1; then one axis for the copies of each set.
+    # Missing axes of frames get the length 1.
     axes = max(first.ndim, second.ndim)
     first, second = (shifts.reshape(shifts.shape + (1,) * (axes - shifts.ndim)) for shifts in (first, second))
+    # One axis for the copies of each set, [3, copy of the first, copy of the second, ...].
     first, second = first[:, :, None], second[:, None]
     pairs = np.concatenate([first[:2] + second[:2], first[2:] * second[2:]])
     return pairs.reshape(3, -1, *pairs.shape[3:])
