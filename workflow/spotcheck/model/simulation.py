@@ -308,8 +308,8 @@ def _extended_frames(
         peak, width = state.peak_dn, state.sigma_px
         if not (0 <= peak < np.inf and 0 < width < np.inf):
             raise InputError(
-                f"{name}: gives {manifest_row.label} peak {peak:g} DN and width {width:g} px; the width must be above 0,"
-                " and the peak 0 or more"
+                f"{name}: gives {manifest_row.label} peak {peak:g} DN and width {width:g} px; the width must be above"
+                " 0, and the peak 0 or more"
             )
         yield SimulatedFrame(frame_model, conditions, state)
 
