@@ -42,7 +42,7 @@ def test_photons_are_linear_in_the_exposure_and_in_every_loss():
 
 
 def test_the_lens_collects_its_solid_angle_of_a_lambertian_surface():
-    """Numerically: the part of cos θ light within the cone of a pupil of f/(2 f_a) at d_w, to the square of its angle."""
+    """The part of cos θ light within the cone of a pupil of f/(2 f_a) at d_w is sin² of its half-angle."""
     optics = BASE.optics
     angle = np.arctan(optics.focal_length_m / (2 * optics.f_number * optics.working_distance_m))
     assert photons.lambertian_collection(BASE) == pytest.approx(np.sin(angle) ** 2, rel=2 * angle**2)
