@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import spotcheck
 from spotcheck.errors import InputError
 from spotcheck.io.provenance import PACKAGE
 from spotcheck.io.schema import read_yaml
@@ -106,7 +107,9 @@ def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
                 " docstring cites it"
             )
     rows = [(number, functions[number], test_functions[number]) for number in EQUATIONS]
-    content = {"rows": rows, "used_names": find_used_names(PACKAGE)}
+    # Functions of the package `paper` are called by the ids of data/published.yaml.
+    of_paper = {citation.name for cited in functions.values() for citation in cited if ".paper." in citation.where}
+    content = {"rows": rows, "used_names": find_used_names(PACKAGE) | of_paper | set(spotcheck.__all__)}
     write_page(folder / "equations.html", "equations.html", title="Equation → function → test", **content)
     title = "Symbol → name in code → unit → equation"
     write_page(folder / "symbols.html", "symbols.html", title=title, rows=read_yaml(symbols))
