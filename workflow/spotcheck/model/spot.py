@@ -71,7 +71,7 @@ def photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification: floa
 
 
 def pixel_mean_photons(x, y, peak_photons, sigma_x, sigma_y, correlation, magnification: float):
-    """Return µ_θ,k = µ_p,max f_θ [photons] as Eq. 27 prints it: f_θ at the centre of a pixel, not the integral of Eq. 26."""
+    """Return µ_θ,k = µ_p,max f_θ [photons] as in Eq. 27: f_θ at the centre of a pixel, not the integral of Eq. 26."""
     # ASSUME: the light is constant during the exposure, which turns the time integral of Eq. 26 into a factor.
     return peak_photons * photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification)
 
