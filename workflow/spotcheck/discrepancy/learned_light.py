@@ -336,9 +336,10 @@ def find_clear_part(difference: np.ndarray, noise: np.ndarray, grid: PolarGrid) 
 
 
 def measure_orders(difference: np.ndarray, noise: np.ndarray, grid: PolarGrid) -> np.ndarray:
-    """Return the share of each azimuthal order in ∫d² without noise, for the first `ORDERS` orders [order].
+    """Return the shares of the first `ORDERS` azimuthal orders in ∫d², the sum over all orders [order].
 
-    The difference d is [ring, direction], its noise [draw, ring, direction].
+    The mean ∫noise² of each order is subtracted first; an order that does not exceed it has the share 0. The difference
+    d is [ring, direction], its noise [draw, ring, direction].
     """
 
     def squares(values: np.ndarray) -> np.ndarray:

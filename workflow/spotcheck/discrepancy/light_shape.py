@@ -101,10 +101,11 @@ def evidence_of_drop(declared: JointFit, drop: float) -> ShapeEvidence:
 def measure_thinned_evidence(fit: JointFit) -> ShapeEvidence:
     """Return the evidence for a free shape beside the effects of a fit, on thinned pixels and scaled to all.
 
-    Sensor and effects are fixed; spots and shape are fitted. A shape is fitted to half of the sites and predicts the
-    frames of the others. Noise and granular light increase the drop of −2 ln L of the fitted half as much as they
-    decrease that of the predicted half: the mean of both drops is that by the true shape. The smaller result of the two
-    halves counts. With a single site the noise is subtracted as in `measure_evidence`.
+    The fit has the declared shape. Its sensor and effects are fixed; spots and shape are fitted. A shape is fitted to
+    half of the sites and predicts the frames of the others. Noise and granular light raise the drop of −2 ln L in the
+    fitted half as much as they lower it in the predicted half. The mean of both drops is therefore the drop that the
+    true shape would cause. The smaller result of the two halves counts. With a single site the noise is subtracted as
+    in `measure_evidence`.
     """
     site = fit.model.design.site
     is_first = np.isin(site, np.unique(site)[::2])
@@ -112,12 +113,14 @@ def measure_thinned_evidence(fit: JointFit) -> ShapeEvidence:
         thinned, free = fit_thinned_shape(fit)
         evidence = measure_evidence(thinned, free)
     else:
+        # Fits to each half: with the declared shape, and with a free one.
         halves = [
             fit_thinned_shape(fit.select(np.flatnonzero(half)), EVIDENCE_PIXELS // 2) for half in (is_first, ~is_first)
         ]
         drops = [measure_cross_drop(*halves[k], others=halves[1 - k][0]) for k in (0, 1)]
         thinned = halves[int(np.argmin(drops))][0]
         evidence = evidence_of_drop(thinned, min(drops))
+    # `evidence.drop` is over the dispersion of the thinned pixels.
     ratio = fit.pixels.count / thinned.pixels.count * thinned.pixels.dispersion / fit.pixels.dispersion
     return replace(evidence, drop=ratio * evidence.drop)
 

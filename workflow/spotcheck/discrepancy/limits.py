@@ -8,7 +8,9 @@ at infinity: its limit is a lower one.
 
 Errors are inflated by √(Q/(n − 1)) if Cochran's Q over n cells of the data exceeds n − 1 (the scale factor of the
 Particle Data Group, Review of Particle Physics, introduction). Random effects are limited by the interval of their
-standard deviation. Scales are sizes of the dataset, from which effects derive bounds and starting values.
+standard deviation. Scales are sizes of the dataset, from which effects derive bounds and starting values. A law is a
+dependence of brightness and width of the spot on the conditions of a frame, such as its exposure. "Named" effects are
+those that the verdict reports as present.
 """
 
 from collections.abc import Collection, Sequence
@@ -87,7 +89,7 @@ def find_limits(
 ) -> tuple[UpperLimit, ...]:
     """Return the limits of all effects that are not named and that the design can show.
 
-    An effect without a limit has NaN ends and a reason.
+    An effect without a limit gets an `UpperLimit` whose `low` and `high` are NaN, with a reason.
 
     Parameters
     ----------
@@ -102,9 +104,10 @@ def find_limits(
     baseline : Baseline
         Declared model of the light.
     laws : LawSearch, optional
-        Search for laws of brightness and width on the spots of the final fit; None without a law of the exposure.
+        Search for laws in the spots of the final fit. None if the declared model leaves the peak of each frame free, so
+        that no law can be tested; laws then have no limit.
     scatter : sequence of NamedScatter
-        Random effects, named or not.
+        Random effects with the interval of their size, whether the verdict names them or not.
     withdrawn : collection of str
         Names of effects that the search found and held-out frames refuted.
     """
@@ -116,8 +119,8 @@ def find_limits(
     if laws is not None:
         present = [effect for effect in effects if effect.name in named and is_law(effect)]
         limits |= limit_laws(laws, present, [effect for effect in rest if is_law(effect)])
-    for named_scatter in scatter:
-        limits[named_scatter.applied.effect.name] = limit_scatter(named_scatter, len(fit.model.spots.x), scales)
+    for random_effect in scatter:
+        limits[random_effect.applied.effect.name] = limit_scatter(random_effect, len(fit.model.spots.x), scales)
     of_rest = [limits.get(effect.name) or explain_missing(effect, fit.model) for effect in rest]
     return tuple(replace(limit, reason=NOT_CONFIRMED) if limit.effect in withdrawn else limit for limit in of_rest)
 
@@ -142,7 +145,7 @@ def list_not_assessed(effects: Sequence[Effect], design: Design, baseline: Basel
 
 
 def explain_missing(effect: Effect, model: JointModel) -> UpperLimit:
-    """Return a limit with NaN ends and the reason why the effect has none."""
+    """Return an `UpperLimit` without ends (NaN), and the reason why the effect has no limit."""
     if effect.is_static_shape and model.grid is not None:
         reason = CONFOUNDED
     elif not any(effect.variants.values()):
@@ -219,13 +222,17 @@ def limit_mean_effects(fit: JointFit, effects: Sequence[Effect], scales: EffectS
                 for trial, error in zip(trials, errors, strict=True)]  # fmt: skip
 
     def measure(trials: Sequence[Trial]) -> list[Estimate]:
-        """Return the estimates by the score on all pixels; nuisance parameters are projected off by thinned ones."""
+        """Return the estimates by the score on all pixels.
+
+        Nuisance parameters are projected off with coefficients that the thinned pixels give.
+        """
         directions = [trial.applied() for trial in trials]
         applied = list(chain(*directions))
         score, information = sum_trials(fit, applied, project_trials(thinned, applied))
-        first = np.cumsum([0, *map(len, directions)])
-        return [estimate_size(trial, fit.model.design, score[a:b], information[a:b])
-                for trial, a, b in zip(trials, first, first[1:], strict=False)]  # fmt: skip
+        # Position of the first direction of each trial in `applied`.
+        offsets = np.cumsum([0, *map(len, directions)])
+        return [estimate_size(trial, fit.model.design, score[start:stop], information[start:stop])
+                for trial, start, stop in zip(trials, offsets, offsets[1:], strict=False)]  # fmt: skip
 
     trials = solve_trials(list_trials(effects, scales), predict, FIRST_TRIES)
     trials = solve_trials(list(chain(*choose_farthest(trials, of_variants=True).values())), predict, TRIES)
@@ -357,20 +364,21 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
     }
 
 
-def limit_scatter(named: NamedScatter, frames: int, scales: EffectScales) -> UpperLimit:
+def limit_scatter(random_effect: NamedScatter, frames: int, scales: EffectScales) -> UpperLimit:
     """Return the limit of a random effect: the upper end of the 95 % interval of its standard deviation.
 
-    It has NaN ends if the interval is unknown or exceeds the range of the parameter. `frames` is the number of frames.
+    Its ends are NaN if the interval is unknown or exceeds the range of the parameter. `frames` is the number of frames.
     """
-    effect = named.applied.effect
+    effect = random_effect.applied.effect
     strength = effect.parameters[0]
-    interval = named.intervals[strength.name]
+    interval = random_effect.intervals[strength.name]
     if not (np.isfinite(interval.stderr) and interval.stderr > 0 and interval.high < effect.bounds(scales)[0, 1]):
         return UpperLimit(effect.name, strength.name, strength.unit, NOT_MEASURED)
-    is_small = named.z > MIN_Z and is_negligible(named.applied.with_value(strength.name, interval.high), scales)
-    steps = [step for step in effect.variants[named.applied.variant] if isinstance(step, RandomStep)]
+    largest = random_effect.applied.with_value(strength.name, interval.high)
+    is_small = random_effect.z > MIN_Z and is_negligible(largest, scales)
+    steps = [step for step in effect.variants[largest.variant] if isinstance(step, RandomStep)]
     is_shared = any(step.scope is Scope.SENSOR for step in steps)
-    remark = ALREADY_PRESENT if named.z > PRESENT_Z else ""
+    remark = ALREADY_PRESENT if random_effect.z > PRESENT_Z else ""
     if np.isnan(effect.vanishes_at):
         remark = remark or NOT_FROM_ZERO
     # Half the standard deviation is a quarter of the variance. The error of a variance falls as 1/√frames, or as

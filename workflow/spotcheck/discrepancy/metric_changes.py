@@ -181,7 +181,10 @@ def _build_simulator(
 def _measure_sources(
     frames: FrameSet, declared: FrameSimulator, extended: FrameSimulator, seed: int
 ) -> list[dict[str, np.ndarray]]:
-    """Return the metrics [frame] by name of three sources: measured frames, declared model and extended model."""
+    """Return the metrics [frame] by name of three sources: measured frames, declared model and extended model.
+
+    All are fitted with the declared shape. The PSNR is that of the notes of `compare_metrics`.
+    """
     images = [frames.readings.astype(float), declared.draw(seed), extended.draw(seed)]
     with ThreadPoolExecutor(THREADS) as pool:
         tables = list(pool.map(partial(_measure_images, forward=declared.forward), images))

@@ -1,7 +1,8 @@
 """Frames of a dataset that are ready to be analysed for a verdict: selected, and with spots from which fits start.
 
 A site is the set of frames with the same angle, declared conditions and repeat; they show the same spot at several
-exposures. The grid of a dataset has a cell for each angle, exposure, repeat and declared condition.
+exposures. The grid of a dataset has a cell for each angle, exposure, repeat and declared condition. The baseline is the
+declared model of the light: shape of the spot, and laws of its brightness and width.
 """
 
 from collections import Counter
@@ -69,7 +70,8 @@ def prepare_dataset(
     crops, sensor : xr.Dataset
         Content of crops.nc and sensor.nc.
     fits : xr.Dataset or None
-        Content of fits.nc, from which fits start; None to fit each frame alone first.
+        Content of fits.nc. Its spots are the starts of later fits; frames without a trusted fit start from second
+        moments. If it is None, or has no trusted fit at all, each frame is first fitted alone.
     """
     cells = usable_cells(dataset, crops["status"].sel(centring="light"))
     unusable = describe_unusable(dataset, crops)
@@ -86,7 +88,7 @@ def prepare_dataset(
     left_out = len(frames) - int(shows_spot.sum())
     remarks = [unusable, *store.remarks_of(sensor), never_searched(frames.select(np.flatnonzero(shows_spot)))]
     if left_out:
-        text = "spots lie more than half a crop from where their site has its others"
+        text = "spots lie more than half a crop away from the other spots of their site"
         remarks.append(f"{left_out} of {len(frames)} {text}")
         frames = frames.select(np.flatnonzero(shows_spot))
         cells = [cell for cell, is_kept in zip(cells, shows_spot, strict=True) if is_kept]

@@ -4,7 +4,7 @@ A cell is a block of the sensor, a sector of a ring about the spot, a row, a col
 whole crop. The standardised residual of a pixel is z = r √w (residual r [DN], weight w = 1/variance). With the
 derivative a of z by the light, the sum Σ a z over a cell has the variance Σ a² − |Q'a|². The columns q of Q [pixel, 4]
 are orthonormal and span the changes of z by the spot parameters of the frame, ln peak, ln σ, x and y, which the fit has
-absorbed.
+absorbed. Dark pixels are those beyond 5 σ of the spot (`ResidualImages.is_dark`); they have a level of their own.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -336,7 +336,7 @@ def _cells_of_noise(sums: np.ndarray) -> CellSums:
 
 
 def _sum_neighbours(standard: StandardizedFrame) -> np.ndarray:
-    """Return Σ z z' over pairs of neighbours, and their number [lag, not dark or dark, 2].
+    """Return Σ z z' over pairs of neighbours, and their number [lag, not dark or dark, sum and number].
 
     The covariance that the fit of the spot causes is taken off. Both pixels of a pair are dark, or none.
     """

@@ -135,12 +135,14 @@ def ratio_moment(products: np.ndarray, visible: np.ndarray) -> Moment:
     products : array [frame, line]
         Sums of products of residuals in each line of pixels [DN²].
     visible : array [frame, line]
-        The same sums of products of slopes [1]: how much of a covariance the readings show.
+        Part of the moment that readings show, times the number of products [1]: for covariances, the same sums of
+        products with slopes in place of residuals.
 
     Returns
     -------
     Moment
         Its error comes from the scatter over frames; with few frames it is at least that from the scatter over lines.
+        The value has no meaning if Σ visible is 0.
     """
     total = max(float(visible.sum()), 1e-300)
     value = float(products.sum()) / total
