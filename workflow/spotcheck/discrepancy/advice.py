@@ -10,7 +10,7 @@ model. Their score is c = C'V⁻¹r. Their information is M = C'V⁻¹C by one n
 −2 ln L of the rival increases by n r'V⁻¹r − n² c'(I + n M)⁻¹ c.
 
 A law is an effect that changes only brightness and width of the spots, from frame to frame. Laws are compared by
-ln peak and ln σ of the spots, all other effects by the readings of the pixels.
+ln peak and ln σ of the spots, all other effects by the readings of the pixels. A `Design` has the conditions of frames.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -196,7 +196,8 @@ def compare_images(name: str, rival: Effect, present: PresentFits) -> tuple[Wort
         readings, root_weight = expected.moments.mean, np.sqrt(expected.weight).ravel()
         if readings.max() > USABLE_SHARE * model.forward.sensor.full_scale_dn:
             return None
-        # The rival's spot starts from that of the named effect, and is refitted linearly: the basis spans its changes.
+        # The rival's spot starts from that of the named effect, and is refitted linearly: `basis` spans the changes of
+        # the whitened readings by the spot. A blocked beam has no spot to fit.
         model = replace(model, forward=rival_fit.model.forward, free=rival_fit.model.free)
         rival = evaluate(model, replace(pixels, readings=np.where(pixels.is_used, readings, 0.0)), slice(0, 1))
         shape = rival.weight.shape

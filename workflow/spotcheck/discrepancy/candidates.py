@@ -1,11 +1,12 @@
 """Score tests of effects: estimate how much each starting point of each effect would lower −2 ln L, without a refit.
 
-A start is an effect with the parameter values from which a fit would begin; its strength is the first parameter. Its
-change is what it adds to the mean [DN] and variance [DN²] of the readings: a pair of arrays, as a `Column`. A column is
-such a pair of derivatives by an unknown. Nuisance parameters are all unknowns of the fit: the four spot parameters of each
-frame (ln peak, ln σ, x, y), the fitted parameters of sensor and effects, and the coefficients of a free shape. A free
-shape is a light shape whose values at nodes are fitted, in place of the declared shape of the instrument. A candidate
-is a start with its score test. Granular light is a random field in the light that neighbouring pixels share.
+A start is an effect with the parameter values from which a fit would begin; its first parameter is its strength. Its
+change is what it adds to the mean [DN] and variance [DN²] of the readings, a pair of arrays. A column is the pair of
+their derivatives by an unknown. A `JointFit` has the fitted `model`, its `pixels` and the normal `equations`. Nuisance
+parameters are all unknowns of this fit: the four spot parameters of each frame (ln peak, ln σ, x, y), the fitted
+parameters of sensor and effects, and the coefficients of a free shape. A free shape is a light shape whose values at
+nodes are fitted, in place of the declared shape of the instrument. A candidate is a start with its score test. Granular
+light is a random field in the light that neighbouring pixels share.
 """
 
 from collections.abc import Sequence
@@ -256,6 +257,7 @@ def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], changes
     The mean over pixels is weighted with the projected Fisher information of the start's change.
     """
     model, equations = fit.model, fit.equations
+    # Coefficients of the free shape that reproduce each change best, beside the other unknowns.
     coefficients = None
     if changes.half_shape is not None and equations.shape is not None:
         coefficients = equations.shape.factor.back_solve(changes.half_shape - equations.shape.cross @ changes.absorbed)

@@ -244,9 +244,9 @@ def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATT
 def _measure_blocks(images: ResidualImages, side: int, scatter: KnownScatter, frame: int) -> BlockPower:
     """Return the power of the blocks of a frame; blocks have `side` × `side` pixels.
 
-    Columns Q of the spot are orthonormal in units of the noise; a fit of the spot takes Q Q'z off the residuals z. With
-    U = block sums of the columns in DN, and W = block means of the columns over noise, it takes about U W' times the
-    sums of blocks off them.
+    The columns Q [pixel, spot parameter] are orthonormal in units of the noise, and a fit of the spot takes Q Q'z off
+    the residuals z. Let U [spot parameter, block] be the block sums of Q times the noise [DN], and W those of Q over
+    the noise, divided by the pixels of a block [1/DN]. The fit then takes about U'W s off the block sums s [DN].
     """
     standard = standardize(images, frame)
     is_used = standard.offset > 0
@@ -264,8 +264,9 @@ def _measure_blocks(images: ResidualImages, side: int, scatter: KnownScatter, fr
     def subtract_fitted(powers: np.ndarray, far_powers: np.ndarray) -> np.ndarray:
         """Return expected squares of block sums [block, DN²] after the fit of the spot, from those before it.
 
-        `far_powers` are the same for a block in the sum of all blocks, with which it may be correlated.
+        `far_powers` [block, DN²] are the covariances of each block sum with the sum of all blocks, which the fit uses.
         """
+        # Covariance of the fitted amounts W s [spot parameter, spot parameter].
         of_coefficients = (w * far_powers) @ w.T
         return powers - 2 * far_powers * np.sum(u * w, axis=0) + np.sum(u * (of_coefficients @ u), 0)
 

@@ -55,6 +55,8 @@ class LevelScatter:
         variance_by_mean = mean_slope * variance_slope / (mean_slope**2 + LEAST_SLOPE**2)
         lamp_excess = (self.lamp**2 - 1) * mean_error**2
         mean_variance = (self.lamp * mean_error) ** 2 + self.converter_dn**2
+        # Only the excess by the lamp moves the variance as well. Given the mean, its best estimate is taken off
+        # (regression), and the part that remains unknown is added to the error of the variance.
         regression = variance_by_mean * lamp_excess / mean_variance
         lamp_variance = variance_by_mean**2 * lamp_excess * (1 - lamp_excess / mean_variance)
         conditional_variance = (self.variance * variance_error) ** 2 + lamp_variance
@@ -131,6 +133,7 @@ def estimate_scatter(levels: FlatLevels, residual: np.ndarray, slopes: np.ndarra
     variance = error**2 + (np.median(error) * CONVERTER_TRIALS[:, None]) ** 2
     factor = np.maximum((square / variance).sum(axis=1, keepdims=True) / freedom, 1.0)
     variance = factor * variance
+    # −2 ln L of the means with as many independent values as degrees of freedom.
     deviance = (square / variance).sum(axis=1) + freedom * np.log(variance).mean(axis=1)
     best = int(np.argmin(deviance))
     lamp = float(np.sqrt(factor[best, 0]))

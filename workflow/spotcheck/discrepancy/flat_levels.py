@@ -79,7 +79,8 @@ def collect_levels(transfer: Transfer, full_scale_dn: float) -> FlatLevels | Non
     Parameters
     ----------
     transfer : Transfer
-        Levels and their photon transfer by a straight line.
+        Levels of flats (`flats`), and mean `signal` [DN] and variance `excess` [DN²] of each less those of darks.
+        `quantities` has the results of a straight line by name, such as the gain.
     full_scale_dn : float
         Largest reading [DN].
     """

@@ -101,7 +101,8 @@ def analyse_levels(
     Parameters
     ----------
     transfer : Transfer
-        Levels and the photon transfer by straight lines.
+        Levels, and `quantities` of the photon transfer by straight lines: each has `value`, `stderr`, and in `why` the
+        reason if it is unknown.
     full_scale_dn : float
         Largest reading [DN].
     effects : sequence of Effect
@@ -121,7 +122,9 @@ def analyse_levels(
     without = {name: without_effect(levels, fit, name) for name in fit.effect_names}
     gap, shares = measure_gap(levels, declared, fit, scatter, without)
     covariance = estimate_covariance(levels, fit)
-    gain_variance = covariance[position := fit.position("", "gain_dn_per_e"), position]
+    position = fit.position("", "gain_dn_per_e")
+    gain_variance = covariance[position, position]
+    # Scatter of the lamp beyond the stated errors, relative to the light.
     lamp_scatter = (scatter.lamp**2 - 1) ** 0.5 * float(np.median(levels.errors[0] / levels.values[0]))
     return Findings(
         has_converged=declared.has_converged and fit.has_converged,

@@ -6,7 +6,8 @@ convergence.
 
 The unknowns are, in this order, the spot parameters of each frame (ln peak, ln σ_g, x, y) and the free parameters of
 sensor and effects. A free light shape adds the coefficients of its nodes, which the equations eliminate. The Newton
-decrement is the drop of −2 ln L that a full step would bring if −2 ln L were quadratic.
+decrement is the drop of −2 ln L that a full step would bring if −2 ln L were quadratic. `NormalEquations.promise` gives
+this drop for any step. The factor is the Cholesky factor of the information on the coefficients of the shape.
 """
 
 from dataclasses import dataclass, replace

@@ -6,8 +6,8 @@ reflectance that follows the fibre angle. The frames of a site share angle, decl
 
 Observations are z = (ln peak of F frames, ln σ_g of F frames) [2F]. Their total covariance V is the covariance C of the
 joint fit plus the variance components, which are scatter from frame to frame and from site to site. These are estimated
-beside a saturated mean (`spot_components`), so that no missing law increases them. Sets of laws are compared by
-χ² = r' V⁻¹ r of the residuals r with the same V.
+beside a saturated mean, which is free for each angle and exposure, so that no missing law increases them. Sets of laws
+are compared by χ² = r' V⁻¹ r of the residuals r with the same V.
 """
 
 import copy
@@ -20,7 +20,7 @@ import numpy as np
 from scipy import special, stats
 
 from spotcheck.discrepancy.candidates import SPOT_STAGES
-from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, LAW_TIE, MIN_GAIN, MIN_Z, VARIANT_TIE
+from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, CONFIDENCE, LAW_TIE, MIN_GAIN, MIN_Z, VARIANT_TIE
 from spotcheck.discrepancy.evidence import is_negligible
 from spotcheck.discrepancy.frames import LOG_PEAK, LOG_SIGMA, Design
 from spotcheck.discrepancy.mixed_model import Interval, fit_reml
@@ -348,7 +348,7 @@ class LawSearch:
         # The first parameter of an effect is its strength. Its estimate is a weighted sum of the observations.
         weights = self.inverse @ fit.jacobian @ fit.covariance[:, rows[0]]
         dof = self.degrees_of_freedom(weights, fit.covariance[rows[0], rows[0]])
-        quantile = float(stats.t.ppf(0.975, dof))
+        quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, dof))
         errors = np.sqrt(np.diag(fit.covariance)[rows])
         intervals = {
             fit.names[k].name: Interval.around(applied.parameters[fit.names[k].name], error, quantile)
@@ -370,9 +370,9 @@ class LawSearch:
         return NamedLaw(applied, intervals, z, gain, tuple(reasons))
 
     def degrees_of_freedom(self, weights: np.ndarray, variance: float) -> float:
-        """Return Satterthwaite's degrees of freedom of a weighted sum of the observations.
+        """Return Satterthwaite's degrees of freedom, 2 variance²/(its error)², of a weighted sum of the observations.
 
-        They are finite because the variance components are estimates. `weights` [2F]; `variance` is that of the sum.
+        The `variance` of the sum has an error, since the variance components are estimates. `weights` are [2F].
         """
         if not self.components:
             return LARGEST_FREEDOM

@@ -6,7 +6,9 @@ width w and centre a, b) in which it is nearest to the declared shape B. The dif
 d(u, v) = S(w u + a, w v + b)/A − B(u, v). All arrays [ring, direction] are values on a polar grid about the centre.
 
 Unknowns of the fit are the coefficients of the learned shape, the spot parameters of the frames (ln peak, ln σ_g, x, y)
-and the fitted parameters of sensor and effects. The frames of a site share angle, declared conditions and repeat.
+and the fitted parameters of sensor and effects. In the normal equations of a fit, `shape.factor` is the Cholesky factor
+L of the information on the coefficients; it solves with L (`half_solve`) and with L' (`back_solve`). The frames of a
+site share angle, declared conditions and repeat.
 """
 
 from dataclasses import dataclass, replace

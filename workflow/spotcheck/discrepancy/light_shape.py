@@ -5,6 +5,8 @@ declared shape of the light. A static effect changes the shape in the same way i
 replace it. "Thinned pixels" are a random subset of rows and columns. The dispersion is the variance of the score
 (derivative of ln L) over that of independent readings: above 1 with granular light, whose grains neighbouring pixels
 share. Drops of −2 ln L grow in proportion to it by noise alone. The frames of a site share one field of grains.
+A `JointFit` has the fitted `model`, its `pixels` and its `deviance`, −2 ln L; `pixels.share` is the fraction that these
+pixels are of those of a full fit.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -4,7 +4,8 @@ The limit of an effect of the mean image, or of a law across frames, is the weak
 (`strength_trials`). A trial is a strength on one side of where the effect vanishes. Its estimate is the size s ± e of
 the change that this strength makes, as a fraction, by a score test; the strength is excluded if s + k e < 1 with the
 normal quantile k. Directions are the starts of an effect that differ in its direction parameter alone. A clip vanishes
-at infinity: its limit is a lower one.
+at infinity: its limit is a lower one. A `Trial` has the `sign` of its side and the tried `distance` from where the
+effect vanishes (1/strength for a clip). It also has the `estimate` (`size` s, `error` e, `z` = s/e) and the `limit`.
 
 Errors are inflated by √(Q/(n − 1)) if Cochran's Q over n cells of the data exceeds n − 1 (the scale factor of the
 Particle Data Group, Review of Particle Physics, introduction). Random effects are limited by the interval of their
@@ -188,7 +189,8 @@ def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -
         remark = BEYOND_RANGE
     elif z > MIN_Z and all(is_negligible(start.with_value(strength.name, end), scales) for end in ends):
         reason = TOO_SMALL
-    # The change grows as distance**power, and its error falls as 1/√frames: half the distance takes 4**power as many.
+    # The change grows as distance**power, and the error of its size falls as 1/√frames: half the distance takes
+    # 4**power as many frames.
     powers = [trial.power for trial in sides if np.isfinite(trial.power) and not trial.is_linear]
     more_frames = None if remark else int(np.ceil((4 ** max(powers, default=1.0) - 1) * frames))
     return UpperLimit(effect.name, strength.name, strength.unit, reason, low, high, more_frames, remark)
@@ -311,8 +313,8 @@ def estimate_size(trial: Trial, design: Design, score: np.ndarray, information: 
 def inflation_of(score: np.ndarray, information: np.ndarray, labels: np.ndarray) -> float:
     """Return the inflation √(Q/(n − 1)) of an error, at least 1, with Cochran's Q over n cells.
 
-    A cell is a label [frame], such as a site, and a place. `score` and `information` are [frame, place]. Cells with
-    little information are left out.
+    A cell is a label [frame], such as a site, and a place. `score` and `information` are [frame, place]. With their
+    sums u and i over each cell, Q = Σ u²/i − (Σ u)²/Σ i. Cells with little information are left out.
     """
     number = np.unique(labels, return_inverse=True)[1].ravel()
     shape = (number.max() + 1, score.shape[1])
@@ -330,7 +332,8 @@ def inflation_of(score: np.ndarray, information: np.ndarray, labels: np.ndarray)
 def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect]) -> dict[str, UpperLimit]:
     """Return the limits of laws beside the named ones, by name; the weakest limit of all variants and starts counts.
 
-    A law that the frames cannot limit is left out.
+    A law that the frames cannot limit is left out. The observations of the search are ln peak and ln σ of all frames,
+    with the inverse covariance W'W, where W is `search.whitening`.
     """
     fit = search.fit(named)
     present = replace(search.forward, law=fit.law, effects=fit.effects)
@@ -351,6 +354,7 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
         size = add_directions(
             [change @ residual / max(square, 1e-300) for change, square in zip(changes, squares, strict=True)]
         )
+        # The size is the sum of the observations with these weights, and has this variance.
         freedom = search.degrees_of_freedom(search.whitening.T @ changes[0] / squares[0], 1 / squares[0])
         quantile = float(stats.t.ppf(trial.quantile_level, freedom))
         size = max(size, 0.0) if trial.is_one_sided else size

@@ -120,11 +120,13 @@ def compare_metrics(
     Parameters
     ----------
     validated : ValidatedChain
-        Chain of models, with the spots that they predict for the held-out frames.
+        Chain of models (`NestedModel`: the effect that it `added`, its `forward` model and its `scatter`), with the
+        spots that each predicts for the held-out frames.
     unseen : FrameSet
         The held-out frames.
     scatter : sequence of NamedScatter
-        Random effects. Those that a model of the chain has added are drawn in frames of the extended model.
+        Random effects, with `reasons` if one is not named. Those that a model of the chain has added are drawn in
+        frames of the extended model.
     seed : int
         Seed of the simulated frames.
 

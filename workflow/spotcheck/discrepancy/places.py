@@ -112,7 +112,9 @@ def strongest_cells(cells: CellSums, design: Design, scatter: KnownScatter = NO_
     Parameters
     ----------
     cells : CellSums
-        Sums over the cells of one kind in each frame.
+        Sums over the cells of one kind in each frame: of residuals (`sums`), with their variance before the fit
+        (`norms`) and their `third` and `fourth` cumulant. The fit takes the squares of `absorbed` (spot of the frame)
+        and `common` (read noise) off the variance.
     design : Design
         Conditions of the frames.
     scatter : KnownScatter

@@ -22,14 +22,11 @@ from spotcheck.discrepancy.evaluation import (
     subtract_absorbed,
     sum_batches,
 )
-from spotcheck.discrepancy.evidence import SECTORS, divide_spot
+from spotcheck.discrepancy.evidence import RINGS, SECTORS, divide_spot
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel
 from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect
-
-# Rings into which `divide_spot` divides each sector of a spot.
-RINGS = 2
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from spotcheck.discrepancy.starting_spots import (
     WIDEST_SPOT,
     Cell,
     fit_spots,
-    has_trusted_fit,
+    has_any_trusted_fit,
     load_spots,
     spots_by_moments,
     usable_cells,
@@ -94,7 +94,7 @@ def prepare_dataset(
         cells = [cell for cell, is_kept in zip(cells, shows_spot, strict=True) if is_kept]
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     spots: FrameParameters | str
-    if fits is not None and has_trusted_fit(fits, cells):
+    if fits is not None and has_any_trusted_fit(fits, cells):
         spots = load_spots(fits, frames, cells)
     else:
         # Each frame is fitted with a peak of its own, whatever law of the peak the instrument states.

@@ -43,8 +43,8 @@ LEAST_EIGENVALUE = 1e-5
 LEAST_SQUARE_VARIANCE = 0.1
 # Lags [row, column] at which neighbours are correlated.
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
-# Number of weights of pixels with which pairs of frames are summed, and of the sums by `_power_sums`.
-PAIR_WEIGHTS, POWER_SUMS = 2, 5
+# Number of weights of pixels with which pairs of frames are summed, and of the sums by `_power_sums` and `_sum_noise`.
+PAIR_WEIGHTS, POWER_SUMS, NOISE_SUMS = 2, 5, 6
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def sum_residuals(images: ResidualImages) -> ResidualSums:
     skewness, kurtosis = level_cumulants(images)
     kinds, top, left = _define_kinds(images)
     cells = np.zeros((frames, sum(kind.count for kind in kinds), len(CELL_FIELDS) + SPOT_PARAMETERS))
-    noise = np.zeros((frames, LEVELS + 1, 6))
+    noise = np.zeros((frames, LEVELS + 1, NOISE_SUMS))
     fit_products = np.zeros((frames, SPOT_PARAMETERS, SPOT_PARAMETERS))
     neighbours = np.zeros((frames, len(LAGS), 2, 2))
     # `_define_kinds` returns other corners if spots lie far apart: then sites share no pixels.
@@ -201,12 +201,13 @@ def level_cumulants(images: ResidualImages) -> tuple[np.ndarray, np.ndarray]:
 
     They are estimated from some frames and shrunk towards 0, the value of normal noise, in ranges of few pixels.
     """
+    # Σ zᵏ for k = 0 … 4 [k, level].
     moments = np.zeros((5, LEVELS + 1))
     for frame in np.random.default_rng(0).permutation(len(images.left))[:CUMULANT_FRAMES]:
         standard = standardize(images, frame)
         used = standard.offset > 0
         level, z, z_power = standard.level[used], standard.z[used].astype(float), np.ones(used.sum())
-        for order in range(5):
+        for order in range(len(moments)):
             moments[order] += np.bincount(level, z_power, LEVELS + 1)
             z_power = z_power * z
     first, second, third, fourth = moments[1:] / np.maximum(moments[0], 1.0)

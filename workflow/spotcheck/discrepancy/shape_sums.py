@@ -28,18 +28,25 @@ class ShapeSums:
     ----------
     model : JointModel
         Model with a free shape.
-    at : Evaluation
+    evaluation : Evaluation
         The model at the pixels of the frames.
+
+    Attributes
+    ----------
+    nodes : int
+        Number of nodes along each side of the grid.
+    strongest : tuple of three arrays [frame, pixel]
+        u and v [σ] of each pixel from the centre of the strongest copy, and the summed factor of all copies [DN].
     """
 
-    def __init__(self, model: JointModel, at: Evaluation) -> None:
+    def __init__(self, model: JointModel, evaluation: Evaluation) -> None:
         assert model.grid is not None
-        self.nodes, self._per_step, self._evaluation = model.grid.nodes, 1 / model.grid.step, at
-        shape = at.residual.shape
+        self.nodes, self._per_step, self._evaluation = model.grid.nodes, 1 / model.grid.step, evaluation
+        shape = evaluation.residual.shape
         # Each copy: u, v [σ] of each pixel from its centre, and factor [DN] of the basis functions [frame, pixel].
         copies = [
             tuple(np.ascontiguousarray(np.broadcast_to(array, shape)).reshape(shape[0], -1) for array in copy)
-            for copy in model.forward.shape_response(at.conditions)
+            for copy in model.forward.shape_response(evaluation.conditions)
         ]
         u, v, _ = max(copies, key=lambda copy: float(np.sum(np.abs(copy[2]))))
         self._copies, self.strongest = copies, (u, v, np.sum([factor for _, _, factor in copies], axis=0))

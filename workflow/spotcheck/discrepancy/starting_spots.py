@@ -91,7 +91,7 @@ def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[Cell]) -> Fra
     return _as_parameters([_spot_by_moments(frames, frame) if row is None else row for frame, row in rows], frames)
 
 
-def has_trusted_fit(fits: xr.Dataset, cells: Iterable[Cell]) -> bool:
+def has_any_trusted_fit(fits: xr.Dataset, cells: Iterable[Cell]) -> bool:
     """Return whether fits.nc has a trusted fit of any frame; parameters as in `load_spots`."""
     return any(row is not None for row in _trusted_fits(fits, cells))
 
@@ -123,6 +123,7 @@ def _spot_by_moments(frames: FrameSet, frame: int) -> np.ndarray:
     image = np.asarray(frames.readings[frame], float)
     moments = second_moments(image)
     corner = np.array([frames.left[frame], frames.top[frame]], float)
+    # Major and minor are the D4σ widths along both axes [px].
     sigma = np.sqrt(moments.major * moments.minor) / D4SIGMA
     peak = moments.light / (2 * np.pi * sigma**2)
     if np.isfinite([peak, sigma]).all() and min(peak, sigma) > 0:

@@ -16,7 +16,17 @@ import numpy as np
 
 from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, Evaluation, evaluate, map_batches
 from spotcheck.discrepancy.fields import correlated_area
-from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels, select_pixels, thin_pixels
+from spotcheck.discrepancy.frames import (
+    CENTRE_X,
+    CENTRE_Y,
+    LOG_PEAK,
+    Design,
+    FrameParameters,
+    FrameSet,
+    Pixels,
+    select_pixels,
+    thin_pixels,
+)
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
@@ -35,7 +45,7 @@ FIRST_DAMPING, DAMPING_FACTOR = 1e-2, 8.0
 # Excess of the gap over its floor, in standard deviations, above which it is significant.
 NOISE_Z = 2.0
 # Indices of the spot parameters that may scatter from frame to frame: ln peak, x and y.
-SCATTERING = [0, 2, 3]
+SCATTERING = [LOG_PEAK, CENTRE_X, CENTRE_Y]
 # Singular values [largest one] that are taken for 0 in the step of a site.
 NULL_STEP = 1e-12
 
