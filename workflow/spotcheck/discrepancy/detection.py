@@ -8,6 +8,10 @@ than too small.
 A cell is a part of the images, such as a block, a ring or a row, over which residuals are summed. A division of the
 frames (all together, by condition, by angle, one by one) says which frames are summed. A field is a random relative
 variation of the light that several pixels or frames share: granular light, or gains of pixels.
+
+A `StandardizedFrame` has images of a frame: residuals in units of their noise (`z`), derivatives of z by the light
+(`offset`) and by ln peak (`relative`), and orthonormal columns that span the changes of z by the spot (`absorbed`). `u`
+and `v` are distances from the spot [σ]. A `CellSums` has the `kind` of its cells, with a name.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,8 @@
 """Covariance of fitted spot parameters by granular light.
 
 Granular light is a random field that multiplies the light. Neighbouring pixels share it, and so do the frames of a
-site. The spot parameters of a frame are ln peak, ln σ, x and y; F is the number of frames.
+site. The spot parameters of a frame are ln peak, ln σ, x and y; F is the number of frames. A `FieldEstimate` has the
+relative `variance` of the field and the standard deviation of its Gaussian correlation, `grain_px` [px].
 """
 
 from dataclasses import replace

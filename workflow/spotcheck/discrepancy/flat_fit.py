@@ -4,7 +4,8 @@ A level is a set of flats of the same light. Its data are the mean and the varia
 those of darks. K is the gain [DN/e-], R the light of the lamp at the largest level [DN]. Published flats often differ
 from any model by more than their stated errors, which come from the drift between the frames of one level. This scatter
 is estimated as variance components (`LevelScatter`), in turn with the parameters. An effect that does not reduce the
-scatter then gains little likelihood.
+scatter then gains little likelihood. `FlatLevels` has the data (`values`), their stated `errors`, and whether a level
+`is_held_out` from fits.
 """
 
 from collections.abc import Sequence

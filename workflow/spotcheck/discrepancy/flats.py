@@ -5,9 +5,13 @@ declared model is a linear sensor: the mean is proportional to the light (with R
 level), and the variance to the mean (with the gain K). R and K are nuisance parameters. The extended model is the
 declared one with the named effects, which act at the same stages of the sensor as for spots. A scatter
 (`LevelScatter`) is that of the levels beyond their stated errors: by the lamp, by the converter, and of the variances.
+
+`FlatLevels` has the `values` [2, level] (means, then variances), their `errors`, the relative `light`, and whether a
+level `is_held_out` from fits. A `LevelFit` has the fitted `model`, the `residual` [2, level], the derivatives of the
+readings by the light (`slopes`), the estimated `scatter`, and the `deviance`, −2 ln L.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +40,7 @@ from spotcheck.discrepancy.findings import (
 from spotcheck.discrepancy.flat_fit import LevelFit, LevelScatter, estimate_covariance, fit_levels
 from spotcheck.discrepancy.flat_levels import FEWEST_LEVELS, FlatLevels, collect_levels
 from spotcheck.discrepancy.flat_selection import (
+    Log,
     SelectedLevelEffects,
     add_effect,
     assess_smoothness,
@@ -65,8 +70,6 @@ NOT_FOUND = "not found"
 LIMIT_TRIALS, LIMIT_ACCURACY = 16, 0.01
 # Further frames that halve errors, in numbers of present frames: errors are proportional to 1/√(number).
 HALVING_FRAMES = 3
-
-Log = Callable[[str], None]
 
 
 def analyse_flats(

@@ -274,9 +274,9 @@ class LawSearch:
         mean = self.mean_of(model)
         columns = []
         for parameter in names:
-            value, (low, high) = _value_of(model, parameter), self._bounds_of(model, parameter)
+            value, (low, high) = value_of(model, parameter), self._bounds_of(model, parameter)
             step = DIFFERENCE * max(abs(value), LEAST_SCALE * (high - low) if np.isfinite(high - low) else 1.0)
-            columns.append((self.mean_of(_with_value(model, parameter, value + step)) - mean) / step)
+            columns.append((self.mean_of(with_value(model, parameter, value + step)) - mean) / step)
         jacobian = np.stack(columns, 1)
         return np.nan_to_num(mean), np.nan_to_num(jacobian)
 
@@ -298,12 +298,12 @@ class LawSearch:
             if np.isfinite(high - low) and abs(change) > LARGEST_STEP * (high - low):
                 fraction = min(fraction, LARGEST_STEP * (high - low) / abs(change))
         for parameter, change in zip(names, step, strict=True):
-            old = _value_of(model, parameter)
+            old = value_of(model, parameter)
             value = old + fraction * change
             if parameter == PEAK:
                 # A logarithmic step of at most a factor e keeps the peak above 0.
                 value = old * np.exp(np.clip(fraction * change / old, -1, 1))
-            model = _with_value(model, parameter, float(np.clip(value, *self._bounds_of(model, parameter))))
+            model = with_value(model, parameter, float(np.clip(value, *self._bounds_of(model, parameter))))
         return model
 
     def select(self, effects: Sequence[Effect]) -> tuple[LawNames, list[LawNames], dict[LawNames, LawFit]]:
@@ -430,16 +430,16 @@ def upper_tail_z(log_p: float) -> float:
     return float(-special.ndtri_exp(log_p)) if log_p > LEAST_LOG_P else LARGEST_Z
 
 
-def _value_of(model: ForwardModel, parameter: LawParameter) -> float:
-    """Return the value of a parameter of a model, in its unit."""
+def value_of(model: ForwardModel, parameter: LawParameter) -> float:
+    """Return the value of a parameter of the laws of a model, in its unit."""
     if not parameter.effect:
         return getattr(model.law, parameter.name)
     applied = next(applied for applied in model.effects if applied.effect.name == parameter.effect)
     return applied.parameters[parameter.name]
 
 
-def _with_value(model: ForwardModel, parameter: LawParameter, value: float) -> ForwardModel:
-    """Return the model with another value of a parameter."""
+def with_value(model: ForwardModel, parameter: LawParameter, value: float) -> ForwardModel:
+    """Return the model with another value of a parameter of its laws."""
     if not parameter.effect:
         assert model.law is not None
         return replace(model, law=replace(model.law, **{parameter.name: value}))

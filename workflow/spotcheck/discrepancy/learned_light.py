@@ -3,7 +3,8 @@
 A shape is the light of a spot over its peak at places u, v [σ] from its centre. Brightness, width and centre of a shape
 cannot be told from those of each frame's spot. The learned shape S is therefore described in the gauge (brightness A,
 width w and centre a, b) in which it is nearest to the declared shape B. The difference of both is
-d(u, v) = S(w u + a, w v + b)/A − B(u, v). All arrays [ring, direction] are values on a polar grid about the centre.
+d(u, v) = S(w u + a, w v + b)/A − B(u, v). All arrays [ring, direction] are values on a polar grid about the centre. A
+`Baseline` is a model of the light: `spot(u, v, peak, σ)` is its light, and `learned` the learned difference S − B.
 
 Unknowns of the fit are the coefficients of the learned shape, the spot parameters of the frames (ln peak, ln σ_g, x, y)
 and the fitted parameters of sensor and effects. In the normal equations of a fit, `shape.factor` is the Cholesky factor

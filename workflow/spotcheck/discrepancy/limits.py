@@ -272,18 +272,18 @@ def profile_clip(fit: JointFit, trial: Trial, highest: float) -> float:
     clipped = np.flatnonzero(np.exp(fit.model.spots.log_peak) > 1 / distances[-1])
     if len(clipped) == 0:
         return highest
-    design = fit.model.design.select(clipped)
-    pixels = fit.pixels.select(clipped)
-    plain = replace(fit.model, spots=fit.model.spots.select(clipped), design=design, free=(), grid=None)
+    selected = fit.select(clipped)
+    # Only the spots are fitted.
+    plain = replace(selected.model, free=(), grid=None)
 
     def deviance_at(distance: float) -> float:
         """Return −2 ln L with the clip at the level 1/distance."""
         (applied, *_) = replace(trial, distance=distance).applied()
         model = replace(plain, forward=replace(plain.forward, effects=(*plain.forward.effects, applied)))
-        return fit_jointly(model, pixels, tolerance=PROFILE_TOLERANCE, iterations=PROFILE_ITERATIONS).deviance
+        return fit_jointly(model, selected.pixels, tolerance=PROFILE_TOLERANCE, iterations=PROFILE_ITERATIONS).deviance
 
     deviances = {distance: deviance_at(distance) for distance in distances}
-    minimum = min(fit_jointly(plain, pixels, iterations=PROFILE_ITERATIONS).deviance, *deviances.values())
+    minimum = min(fit_jointly(plain, selected.pixels, iterations=PROFILE_ITERATIONS).deviance, *deviances.values())
     bound = minimum + float(stats.norm.ppf(trial.quantile_level)) ** 2
     allowed = max((distance for distance, deviance in deviances.items() if deviance < bound), default=distances[0])
     excluded = min((distance for distance in distances if distance > allowed), default=np.inf)

@@ -5,6 +5,10 @@ or once for the sensor (its scope). An effect explains a measured scatter if its
 scopes. The first parameter of a step's quadrature is the standard deviation of its draw. A further parameter of the
 draw is the standard deviation [px] of the correlation of a field. A parameter that no step has is the number of hot
 pixels.
+
+`DarkNoise` has variances and covariances [DN²] of dark pixels, each with `value` and `stderr`: `white` of single
+pixels, `row` of what a row shares, `neighbour` of neighbours in a row, `next_row` of neighbouring rows, and `same_row`
+of the same row in different frames. A `FieldEstimate` has the relative `variance` of a field with its `stderr`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -7,7 +7,8 @@ terms C and score b, the other unknowns have the information H − (L⁻¹C)'(L�
 
 A score is a derivative of ln L. A column is the pair (dm, dv) of the derivatives of mean and variance of the readings
 by one fitted parameter, arrays [frame, h, w]. The light equivalent of a column, times a change of the light, is the
-information between the column and that change.
+information between the column and that change. An `Evaluation` has the `residual`, its `weight`, 1/variance, and the
+derivatives of the light by the spot parameters (`slopes`), with the score and information of the light of each pixel.
 """
 
 from __future__ import annotations

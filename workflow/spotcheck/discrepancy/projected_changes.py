@@ -3,6 +3,8 @@
 A change is the pair of changes of mean [DN] and variance [DN²] of the readings at each pixel, each [frame, h, w]. The
 nuisance parameters are the spot parameters of each frame (ln peak, ln σ, x, y), the coefficients of a free light shape,
 and the fitted parameters of sensor and effects. A trial is an effect with a strength, which is not in the model.
+`ChangeSums` has the information of each change (`alone`), and that between changes and the unknowns of the fit: spots
+and fitted parameters (`cross`), and coefficients (`of_shape`).
 """
 
 from collections.abc import Sequence

@@ -5,6 +5,10 @@ whole crop. The standardised residual of a pixel is z = r √w (residual r [DN],
 derivative a of z by the light, the sum Σ a z over a cell has the variance Σ a² − |Q'a|². The columns q of Q [pixel, 4]
 are orthonormal and span the changes of z by the spot parameters of the frame, ln peak, ln σ, x and y, which the fit has
 absorbed. Dark pixels are those beyond 5 σ of the spot (`ResidualImages.is_dark`); they have a level of their own.
+
+`ResidualImages` also has the `residual`, the `weight`, the derivatives of the mean reading by the light (`slope`) and
+by ln peak (`spot`), and the corners of the crops on the sensor (`top`, `left`). A site is the frames of the same angle,
+declared conditions and repeat.
 """
 
 from concurrent.futures import ThreadPoolExecutor

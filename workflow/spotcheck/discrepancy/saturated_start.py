@@ -2,7 +2,8 @@
 
 A clip is a sensor stage that limits readings to a level. Brightness and width that are fitted without it stall far from
 the truth, and hide the clip from every later test. If the light is granular (speckle), its contrast and the scatter of
-the clip level are fitted as well: grains in front of a clip bend the mean as a soft clip does.
+the clip level are fitted as well: grains in front of a clip bend the mean as a soft clip does. The first parameter of
+an effect is its strength; that of a clip is its level above the black level [DN], and the effect vanishes at infinity.
 """
 
 from collections.abc import Sequence

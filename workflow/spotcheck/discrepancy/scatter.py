@@ -3,6 +3,9 @@
 Products of residuals that share no noise estimate a covariance. A reading is cut at 0, so that it shows only a part of
 the noise before the cut: its mean follows that noise with a slope below 1. Covariances of residuals are divided by
 those of the slopes, which gives covariances of the signal before rounding and the cut.
+
+`ResidualImages` has images [frame, row, column]: the `residual` [DN], its `weight`, 1/variance, the `slope` of the mean
+reading by the light, and which pixels are dark (`is_dark`, beyond 5 σ of the spot). A line is a row or a column.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,9 @@
 """Sums over the pixels of frames with the basis functions of a free light shape.
 
 The basis functions are cubic B-splines at the nodes of a `ShapeGrid`, each with a coefficient. The derivative of the
-light of a pixel by a coefficient is its basis function at the pixel, times the peak.
+light of a pixel by a coefficient is its basis function at the pixel, times the peak. An `Evaluation` has the derivative
+of ln L by the light of each pixel (`light_score`), the Fisher information on it (`light_information`), and derivatives
+of the light by the spot parameters ln peak, ln σ, x and y (`slopes`).
 """
 
 from __future__ import annotations

@@ -8,6 +8,9 @@ their variation as a prior.
 The gap is the mean over blocks of `BLOCK_PX` pixels near the spot of (Σ r)²/Σ v, with the residual r of a pixel and the
 variance v of its noise: noise alone gives 1. The score is −2 ln p of the frames, with all scatter of the model. The
 spot parameters of a frame are ln peak, ln σ, x and y.
+
+An `Evaluation` of a model has, for each pixel of a frame, the `residual` [DN] and its `weight`, 1/variance. `slopes`
+are the derivatives of the light by the spot parameters, `moments.mean_slope` is that of the mean reading by the light.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -16,17 +19,7 @@ import numpy as np
 
 from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, Evaluation, evaluate, map_batches
 from spotcheck.discrepancy.fields import correlated_area
-from spotcheck.discrepancy.frames import (
-    CENTRE_X,
-    CENTRE_Y,
-    LOG_PEAK,
-    Design,
-    FrameParameters,
-    FrameSet,
-    Pixels,
-    select_pixels,
-    thin_pixels,
-)
+from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels, select_pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
@@ -45,7 +38,7 @@ FIRST_DAMPING, DAMPING_FACTOR = 1e-2, 8.0
 # Excess of the gap over its floor, in standard deviations, above which it is significant.
 NOISE_Z = 2.0
 # Indices of the spot parameters that may scatter from frame to frame: ln peak, x and y.
-SCATTERING = [LOG_PEAK, CENTRE_X, CENTRE_Y]
+SCATTERING = [0, 2, 3]
 # Singular values [largest one] that are taken for 0 in the step of a site.
 NULL_STEP = 1e-12
 
