@@ -384,6 +384,7 @@ def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: Res
     brightest_dn = np.partition(readings, -BRIGHT_RANK, axis=1)[:, -BRIGHT_RANK]
     brightest_quarter_dn = np.sort(brightest_dn)[-max(len(frames) // 4, 1) :]
     broadening_px = np.exp(model.spots.log_sigma) - setting.baseline.laser_px
+    # Slope of ln(σ − laser width) over ln t.
     exponent = 0.0
     if design.has_exposures and len(np.unique(design.exposure_s)) > 1:
         log_broadening = np.log(np.maximum(broadening_px, LEAST_BROADENING_PX))

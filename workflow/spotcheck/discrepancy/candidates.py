@@ -307,6 +307,7 @@ def varying_share(fit: JointFit, applied: AppliedEffect) -> float:
         (point > pixel.min(axis=1, keepdims=True)) & (point < pixel.max(axis=1, keepdims=True))
         for point, pixel in ((x, compared.x[:, 0]), (y, compared.y[:, :, 0]))
     )
+    # Pixels of made-up crops, which lie at the same points of every spot in units of its σ.
     sampled = replace(compared, x=x[:, None, :], y=y[:, :, None], row_share=np.ones((len(frames), POINTS, 1)))
     conditions = conditions_of(model.design.select(frames), spots, sampled)
     with_effect = replace(model.forward, effects=(*model.forward.effects, applied))

@@ -180,6 +180,7 @@ def _try_pattern(sums: np.ndarray) -> list[Trial]:
     sums [scope, weight, 3] has sum, variance and third cumulant of products over pairs of frames.
     """
     trials = []
+    # The first weight of pixels stands for an offset of the light, the second for a relative change of it.
     for by_weight, scope in zip(sums, ("in frames of one site", "at different sites"), strict=True):
         for (total, variance, third), region in zip(by_weight, ("", ", in the light of the spot"), strict=True):
             if variance > 0:
@@ -231,7 +232,7 @@ def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATT
         return Unexplained(0.0, np.inf, 0.0, np.nan, np.nan)
     mean = float(excess.sum() / blocks)
     site = np.unique(images.design.site, return_inverse=True)[1]
-    # Grains are the same in all frames of a site, and correlate blocks: number of further squares like each square.
+    # Grains are the same in all frames of a site, and correlate blocks: number of squares that vary with each square.
     grain_px = max((np.nan_to_num(field.grain_px) for field in scatter.fields), default=0.0)
     further_squares = np.bincount(site)[site] * max(1.0, np.pi * (grain_px**2 / side**2 + OVERLAP_VARIANCE)) - 1
     variance = sum(p.noise_variance + n * p.scatter_variance for p, n in zip(powers, further_squares, strict=True))

@@ -235,7 +235,7 @@ def fit_jointly(
         −2 ln L to reach, for a start near the optimum. The fit ends early if `REACHABLE_DROP` decrements miss it.
     """
     equations = assemble(model, pixels)
-    damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0
+    damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0  # `factor_age`: steps since the factor was computed
     total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
     while True:
         fixed = _find_blocked(model, equations)

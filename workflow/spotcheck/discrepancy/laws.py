@@ -364,9 +364,9 @@ class LawSearch:
         if is_negligible(applied, self.scales):
             reasons.append("negligible")
         for factor in dict.fromkeys(FACTORS[need] for need in applied.effect.needs if need in FACTORS):
-            excess, freed = self.lack_of_fit(fit, factor)
-            if freed > 0 and excess - freed > max(CELL_SLACK * np.sqrt(2 * freed), CELL_MISFIT * max(gain, 0.0)):
-                reasons.append(f"lack of fit over {factor}: {excess:.0f} on {freed}")
+            drop, freedom = self.lack_of_fit(fit, factor)
+            if freedom > 0 and drop - freedom > max(CELL_SLACK * np.sqrt(2 * freedom), CELL_MISFIT * max(gain, 0.0)):
+                reasons.append(f"lack of fit over {factor}: {drop:.0f} on {freedom}")
         return NamedLaw(applied, intervals, z, gain, tuple(reasons))
 
     def degrees_of_freedom(self, weights: np.ndarray, variance: float) -> float:

@@ -218,6 +218,7 @@ def limit_mean_effects(fit: JointFit, effects: Sequence[Effect], scales: EffectS
     def predict(trials: Sequence[Trial]) -> list[Estimate]:
         """Return the estimates to expect without the effect, with the errors of all pixels."""
         projection = project_trials(thinned, [trial.applied()[0] for trial in trials])
+        # All pixels have 1/share times the information of the thinned ones.
         errors = np.sqrt(share / np.maximum(projection.information, 1e-300))
         errors[(projection.information <= SEPARABLE_SHARE * projection.alone) | (errors > LARGEST_ERROR)] = np.inf
         return [Estimate(0.0, float(error), float(stats.norm.ppf(trial.quantile_level)))

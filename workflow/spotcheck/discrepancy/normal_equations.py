@@ -168,6 +168,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
         fill_equations(evaluation, columns, batch.start, information, gradient)
         used = evaluation.weight > 0
         squares = float(np.sum(evaluation.residual**2 * evaluation.weight))
+        # −2 ln L = Σ (r²/v + ln v), with ln v = −ln(weight).
         deviance = squares - float(np.sum(np.log(evaluation.weight, where=used, out=np.zeros(used.shape))))
         if model.grid is None:
             return information, gradient, deviance, squares

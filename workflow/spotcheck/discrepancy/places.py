@@ -141,6 +141,7 @@ def strongest_cells(cells: CellSums, design: Design, scatter: KnownScatter = NO_
         total = member @ cells.sums
         z = np.where(is_tested, to_normal(total / np.sqrt(variance), skewness), 0.0)
         group, cell = np.unravel_index(np.argmax(np.abs(z)), z.shape)
+        # Each term of `squares` has an expectation m ≤ 1. Normal terms have the variance 2 m², which is at most 2 m.
         mean = float((variance / norms)[is_tested].sum())
         yield StrongestCell(
             z=float(z[group, cell]),

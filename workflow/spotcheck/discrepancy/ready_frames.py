@@ -130,6 +130,7 @@ def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
     if not total:
         return "the manifest names no spot frame, and flats and darks are judged by `spotcheck flats`"
     status, dims = crops["status"].sel(centring="light"), store.grid_dims(crops)
+    # `STATUS` has (name, text) of each bit of the flags; `UNUSABLE` is the set of bits that exclude a frame.
     flags = [int(status.isel(dict(zip(dims, index, strict=True)))) for index, _ in dataset.cells()]
     reasons = Counter(text for flag in flags for bit, (_, text) in store.STATUS.items() if flag & bit & store.UNUSABLE)
     if not reasons:

@@ -125,6 +125,7 @@ def sum_residuals(images: ResidualImages) -> ResidualSums:
         column], and row and column at which these begin.
         """
         members = np.flatnonzero(images.design.site == site)
+        # Power sums are added in the smallest rectangle that holds the crops of the site, unless it is too large.
         corner = images.top[members].min(), images.left[members].min()
         extent = (np.ptp(images.top[members]) + rows, np.ptp(images.left[members]) + columns)
         is_compact = np.prod(extent) <= MOST_CANVAS * rows * columns
@@ -274,6 +275,7 @@ def _sum_cells(
     count = rows * columns
     a, level = standard.offset.ravel().astype(float), standard.level.ravel()
     square = a * a
+    # By `CELL_FIELDS`. The cumulants of a z in a pixel are a³ times the skewness and a⁴ times the excess kurtosis.
     values = np.column_stack(
         [a * standard.z.ravel(), square, a * square * skewness[level], square**2 * kurtosis[level], a > 0, square**2,
          square * standard.relative.ravel() ** 2, *(a * standard.absorbed.reshape(SPOT_PARAMETERS, -1))]

@@ -113,6 +113,7 @@ def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:
     The mean residual shows that light and is used to subtract its variance; the noise that is sought also shifts the
     mean, which the divisor takes into account.
     """
+    # Light that raises the mean by x raises the variance by this times x [DN].
     variance_by_mean = slopes.variance_by_light / slopes.mean_by_light
     rows_of_frames = []
     for residual, weight, dark in zip(images.residual, images.weight, images.is_dark, strict=True):

@@ -293,6 +293,7 @@ def _compare_batch(
     # Neighbours share grains, so that the variance of a block is larger by the area that a grain correlates.
     area = correlated_area(scatter.grain_px, BLOCK_PX)
     others = area * sum_blocks(grain_variance + scatter.field_variance * light_square) + sum_blocks(gain_variance)
+    # All pixels of a block follow ln peak of the frame, and those of a row its offset.
     others += (scatter.brightness_sd * sum_blocks(slopes[0])) ** 2
     others += scatter.row_variance * BLOCK_PX * sum_blocks(evaluation.moments.mean_slope**2)
     if scatter.centre_sd:
@@ -300,10 +301,10 @@ def _compare_batch(
         share = 1 - 1 / np.bincount(model.design.site).max()
         others += share * scatter.centre_sd**2 * (sum_blocks(slopes[1]) ** 2 + sum_blocks(slopes[2]) ** 2)
     count = sum_blocks(np.ones(used.shape))
-    is_full = count > BLOCK_PX**2 / 2
+    is_used_block = count > BLOCK_PX**2 / 2
     frame = np.broadcast_to(np.arange(batch.start, batch.stop)[:, None, None], count.shape)
     arrays = (sum_blocks(residual), sum_blocks(variance - grain_variance), others, count, frame)
-    return _BlockResiduals(*(values[is_full] for values in arrays)), score
+    return _BlockResiduals(*(values[is_used_block] for values in arrays)), score
 
 
 def _score_frames(
