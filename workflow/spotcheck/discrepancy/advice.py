@@ -190,6 +190,7 @@ def compare_images(name: str, rival: Effect, present: PresentFits) -> tuple[Wort
     rival_model = without.model.with_effect(candidates[0].start, present.scales)
     rival_fit = fit_jointly(rival_model, thinned, tolerance=TOLERANCE, iterations=ITERATIONS)
     targets = np.arange(SPOT_PARAMETERS * rival_fit.equations.frames, rival_fit.equations.size)
+    # Scaled from the thinned to all pixels.
     known = information_beside(rival_fit, targets) * fit.pixels.share / thinned.share
 
     def worth_of(condition: Condition) -> FrameWorth | None:

@@ -68,7 +68,10 @@ class Candidate:
 
 
 def changes_mean_image(effect: Effect) -> bool:
-    """Return whether an effect changes the mean image of a single frame in more than its brightness and width."""
+    """Return whether an effect changes the mean image of a single frame in more than its brightness and width.
+
+    Effects all of whose steps draw random numbers do not.
+    """
     steps = [step for steps in effect.variants.values() for step in steps]
     is_law = all(step.stage in SPOT_STAGES for step in steps)
     return bool(steps) and not is_law and not all(isinstance(step, RandomStep) for step in steps)
@@ -241,7 +244,8 @@ def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> Projected
     cross, score, alone, of_shape = sum_batches(sum_batch, fit.pixels)
     information, half_shape = alone.copy(), None
     if equations.shape is not None:
-        # Eliminate the coefficients of the free shape; `equations` are without them already.
+        # Eliminate the coefficients of the free shape; `equations` are without them already. `shape.cross` is L⁻¹ times
+        # the information between the coefficients and the other unknowns.
         half_shape = equations.shape.factor.half_solve(of_shape)
         cross = cross - equations.shape.cross.T @ half_shape
         score = score - half_shape.T @ equations.shape.score

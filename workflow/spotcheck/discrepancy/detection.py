@@ -64,7 +64,7 @@ OVERLAP_VARIANCE = 1 / 6
 class Trial:
     """One p-value within a test."""
 
-    p_value: float
+    p_value: float  # of this trial alone
     statistic: float  # strongest residual in standard errors
     where: str  # place of this residual in words
 

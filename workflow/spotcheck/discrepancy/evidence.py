@@ -207,8 +207,8 @@ def least_gain(model: JointModel) -> float:
 def measure_gain(fit: JointFit, name: str, wald: float, dispersion: float) -> float:
     """Return the drop of −2 ln L by an effect, over its dispersion.
 
-    It takes a refit without the effect, unless `wald` (z²) is a certain substitute. The refit is made to thinned pixels
-    where their result cannot change the decision, and to all pixels otherwise.
+    A finite z² (`wald`) above `CERTAIN` is returned in its place. Otherwise a refit without the effect gives the drop.
+    The refit is made to thinned pixels if their result cannot change the decision, else to all pixels.
     """
     if CERTAIN < wald < np.inf:
         return wald

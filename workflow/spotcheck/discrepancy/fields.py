@@ -1,4 +1,4 @@
-"""Relative fields: granular light, which is different at each site, and gains of pixels, which are fixed to the sensor.
+"""Relative fields: granular light (grains), different at each site, and gains of pixels, which are fixed to the sensor.
 
 A relative field is a random image that multiplies the light. Its covariance is estimated from products of residuals
 that share no noise. For residual r [DN], G = d mean/d ln peak [DN] (`ResidualImages.spot`) and weight w [1/DN²], the

@@ -103,6 +103,7 @@ def collect_levels(transfer: Transfer, full_scale_dn: float) -> FlatLevels | Non
     relative_light = light / light.max()
     # Without a steady lamp, the exposure stands for the light.
     exposure_s = (relative_light * longest_s)[:, None, None]
+    # One pixel at the centre of the endless spot of each level.
     conditions = FrameConditions(PixelGrid(origin, origin, 1, 1), origin, origin, exposure_s, longest_s, longest_s)
     declared, dark, dark_errors = _declare(transfer, values[0], relative_light, longest_s, full_scale_dn)
     levels = FlatLevels(

@@ -50,6 +50,7 @@ from spotcheck.discrepancy.flat_selection import (
     select_level_effects,
     without_effect,
 )
+from spotcheck.discrepancy.places import correct_for_number
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep
 
 # Reason if nothing can be assessed.
@@ -165,9 +166,11 @@ def reason_not_assessed(effect: Effect, levels: FlatLevels) -> str:
 def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detection:
     """Test whether the residuals of a fit have a part that is smooth in light.
 
-    A rough residual, from level to level, is taken for scatter of the lamp.
+    A rough residual, from level to level, is taken for scatter of the lamp. The p-value of all tests is corrected for
+    their number.
     """
     tests = []
+    # Number `value` is 0 for the means and 1 for the variances.
     z = deviations_in_errors(levels, fit, scatter)
     for value, smoothness in enumerate(assess_smoothness(levels, fit, scatter)):
         where = name_place(levels, value, int(np.argmax(np.abs(z[value]))))
@@ -175,7 +178,7 @@ def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detectio
         name = f"{VALUES[value]}: smooth in light"
         tests.append(ResidualTest(name, where, smoothness.excess, p_value, float(norm.isf(p_value))))
     tests.sort(key=lambda test: test.p_value)
-    return Detection(float(-np.expm1(len(tests) * np.log1p(-tests[0].p_value))), tuple(tests))
+    return Detection(correct_for_number(tests[0].p_value, len(tests)), tuple(tests))
 
 
 def deviations_in_errors(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> np.ndarray:
@@ -276,8 +279,10 @@ def name_effects(
 def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Effect) -> UpperLimit:
     """Return the range of the strength of an effect that is not named.
 
-    The range comes from a fit if the levels react to the effect, else from score tests. Both ends are NaN for a rival
-    of a named effect, and for an effect that the levels do not show.
+    The range comes from a fit if its score test promises a drop of −2 ln L by at least `LEAST_FIT`, else from score
+    tests at several strengths. Both ends are NaN for a rival of a named effect, and for an effect that the levels do
+    not show. `selected` has the fit of the extended model, the `tests` of its effects, and `objections`: why an effect
+    was removed from it.
     """
     parameter = effect.parameters[0]
     limit = UpperLimit(effect.name, parameter.name, parameter.unit, selected.objections.get(effect.name, NOT_FOUND))

@@ -87,7 +87,7 @@ class JointModel:
     are those of `forward.baseline.learned`, which may also hold a learned shape that is not fitted.
     """
 
-    forward: ForwardModel  # baseline, sensor and effects; without a law of the exposure
+    forward: ForwardModel  # light, sensor and effects; without a law of brightness and width, which are spot parameters
     spots: FrameParameters  # spot parameters of each frame
     design: Design  # conditions of the frames
     free: tuple[FreeParameter, ...] = ()  # fitted parameters of sensor and effects
@@ -225,8 +225,8 @@ def fit_jointly(
         Readings of all frames of the model's design.
     tolerance : float
         Newton decrement of the effects, beside all other unknowns, below which the fit has converged. That of all
-        unknowns is scaled in proportion. Both are multiplied by the largest of 1, `NormalEquations.dispersion` and
-        `Pixels.dispersion`.
+        unknowns is scaled in proportion. Both are multiplied by the largest of 1, `NormalEquations.dispersion` (mean
+        squared standardised residual) and `Pixels.dispersion` (effect of granular light on the variance of a score).
     iterations : int
         Most steps.
     rival : float, optional

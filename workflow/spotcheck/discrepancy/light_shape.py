@@ -234,9 +234,10 @@ def is_significant(applied: AppliedEffect, errors: Mapping[tuple[str, str], floa
 
 
 def add_static_effect(fit: JointFit, effects: Sequence[Effect], scales: EffectScales) -> JointFit | None:
-    """Return the fit with the static effect that lowers −2 ln L most, of those that score tests rank first.
+    """Return the fit with the static effect that lowers −2 ln L most, among the leading candidates of score tests.
 
-    None if none lowers it by `MIN_GAIN` times the dispersion.
+    `effects` are the static effects that `fit` does not contain. None if none lowers −2 ln L by `MIN_GAIN` times the
+    dispersion.
     """
     refits, least_drop = [], MIN_GAIN * fit.pixels.dispersion
     for candidate in screen_candidates(fit, list_starts(effects, scales))[:MOST_STATIC_REFITS]:

@@ -3,7 +3,9 @@
 A cell is a part of the images over which residuals are summed: a block of the sensor, a sector of a ring about the
 spot, a row, a column, a range of light ("grey level"), or the crop. A kind is a division of the images into cells. Each
 kind is tested for several divisions of the frames into groups. Frames of a condition have the same exposure and
-declared conditions. Frames of a site have the same angle, declared conditions and repeat.
+declared conditions. Frames of a site have the same angle, declared conditions and repeat. A `FieldEstimate` has the
+relative `variance` of a random field that multiplies the light; its Gaussian correlation has the standard deviation
+`grain_px` [px], NaN if pixels are independent.
 """
 
 from collections.abc import Iterator

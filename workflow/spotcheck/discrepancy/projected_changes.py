@@ -49,8 +49,8 @@ def change_by_strength(
 ) -> tuple[Column, Column | None]:
     """Return the change by the strength of an effect, and the change by its rest, or None if there is no rest.
 
-    The rest is what an effect with special cases does at the strength where it vanishes, such as the level of an offset
-    with a slope. It is a nuisance.
+    An effect may have a simpler effect as a special case, as an offset with a slope has a plain offset. The special
+    case remains where the strength (the slope) vanishes. It is the rest, and a nuisance.
     """
     change = change_at(model, applied, evaluation)
     if not applied.effect.special_cases:

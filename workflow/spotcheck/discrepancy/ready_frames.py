@@ -73,6 +73,7 @@ def prepare_dataset(
         Content of fits.nc. Its spots are the starts of later fits; frames without a trusted fit start from second
         moments. If it is None, or has no trusted fit at all, each frame is first fitted alone.
     """
+    # crops.nc has crops about the centroid of the light, and others about the brightest pixel.
     cells = usable_cells(dataset, crops["status"].sel(centring="light"))
     unusable = describe_unusable(dataset, crops)
     if not cells:

@@ -112,6 +112,7 @@ def fit_saturated(declared: JointFit, frames: FrameSet, effects: Sequence[Effect
     start = replace(declared.model, spots=spots)
     thin = thin_pixels(select_pixels(frames, spots))
     clips = [effect for effect in effects if effect.vanishes_at == np.inf]
+    # The first variant of a clip is the sharp one.
     sharp, *others = starts_of_clip(clips, pile, is_random=False)
     best = fit_jointly(start.with_effect(sharp, scales), thin, tolerance=TOLERANCE, iterations=FIRST_ITERATIONS)
     contrast = estimate_contrast(best.model, frames, pile.level_dn)
@@ -150,7 +151,7 @@ def starts_of_clip(clips: Sequence[Effect], pile: PileUp, is_random: bool) -> li
             random_steps = [step for step in steps if isinstance(step, RandomStep)]
             if bool(random_steps) == is_random:
                 for step in random_steps:
-                    # Parameters of what is drawn, other than the level, are its scatter.
+                    # A quadrature takes means over the draw; its parameters other than the level are the scatter.
                     for name in set(keyword_names_of(step.quadrature)) - {names[0]}:
                         values[name] = max(pile.scatter, LEAST_SCATTER)
                 used = {parameter.name for parameter in effect.parameters_of(variant)}

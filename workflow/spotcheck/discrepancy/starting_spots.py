@@ -1,7 +1,8 @@
 """Spots of single frames: starting values by fits.nc or by moments, and fits of single frames under a fixed model.
 
 The spot parameters of a frame are ln peak, ln σ, x and y, with the peak in DN, the width σ_g and the centre in px. A
-cell is a pair of an index on the grid of the dataset and the row of the manifest of a spot frame.
+cell is a pair of an index on the grid of the dataset and the row of the manifest of a spot frame. A law makes
+brightness and width follow the conditions of a frame, such as its exposure.
 """
 
 from collections.abc import Iterable, Sequence
@@ -104,6 +105,7 @@ def _trusted_fits(fits: xr.Dataset, cells: Iterable[Cell]) -> list[np.ndarray | 
     rows: list[np.ndarray | None] = []
     for index, _ in cells:
         row = values[index]
+        # `UNTRUSTED` is the set of flags of fits that must not be used, such as those that did not converge.
         is_trusted = not status[index] & store.UNTRUSTED and row[0] > 0 and row[1] > 0 and np.isfinite(row).all()
         rows.append(row if is_trusted else None)
     return rows

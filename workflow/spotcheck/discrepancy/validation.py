@@ -1,9 +1,9 @@
 """Validation on held-out frames: how well nested models predict repeats that no earlier step has used.
 
 A site is the set of frames with the same angle, declared conditions and repeat, at several exposures. Brightness and
-width of a held-out frame come from laws across frames, which were fitted to the other repeats. Only the centre is
-fitted, one for each site; if brightness and width vary from site to site, those of each site are fitted as well, with
-their variation as a prior.
+width of a held-out frame come from laws across frames, which follow the conditions of a frame, such as its exposure.
+These were fitted to the other repeats. Only the centre is fitted, one for each site; if brightness and width vary from
+site to site, those of each site are fitted as well, with their variation as a prior.
 
 The gap is the mean over blocks of `BLOCK_PX` pixels near the spot of (Σ r)²/Σ v, with the residual r of a pixel and the
 variance v of its noise: noise alone gives 1. The score is −2 ln p of the frames, with all scatter of the model. The
