@@ -203,8 +203,9 @@ def fit_levels(
 class _LevelProblem:
     """Least-squares problem of a model with effects.
 
-    A point is a vector of ln R, K and the parameters of the effects [parameter]. `model` gives its start. Derivatives
-    are reused at points within `nearby`, a distance in scales of the parameters.
+    A point is a vector of ln R, K and the parameters of the effects [parameter]. `model` gives its `start`. `names` are
+    (effect, parameter), `scales` typical sizes of the parameters, `low` and `high` their bounds. Derivatives are reused
+    at points within `nearby`, a distance in scales of the parameters.
     """
 
     def __init__(self, levels: FlatLevels, model: ForwardModel, nearby: float) -> None:

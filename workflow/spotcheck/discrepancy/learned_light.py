@@ -166,7 +166,7 @@ def summarize_shape(light: LearnedLight) -> dict[str, Any]:
 
 
 def find_covered(fit: JointFit, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return which places u, v [σ] lie within the used pixels of at least one frame [ring, direction]."""
+    """Return which places u, v [σ] lie in the rectangle of used pixels of at least one frame [ring, direction]."""
     pixels, spots = fit.pixels, fit.model.spots
     is_covered = np.zeros(u.shape, bool)
     for frame, sigma in enumerate(np.exp(spots.log_sigma)):

@@ -200,7 +200,7 @@ def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -
 
 
 def is_limited_by_pixels(effect: Effect, model: JointModel) -> bool:
-    """Return whether the mean image limits an effect; a free shape would replace a static one, so that it cannot."""
+    """Return whether the mean image limits an effect: not a static one beside a free shape, which can absorb it."""
     return changes_mean_image(effect) and not (effect.is_static_shape and model.grid is not None)
 
 

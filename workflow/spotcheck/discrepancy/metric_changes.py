@@ -3,7 +3,8 @@
 A chain of nested models leads from the declared model, without effects, to the extended one with all of them. It
 predicts the spot (peak, width and centre) of each held-out frame. Simulated frames have the conditions and masked
 pixels of the measured ones, the predicted spots, and noise. Those of the extended model also have all its random
-effects. Both models use the same random numbers, so that only the effects make their metrics differ.
+effects. Both models use the same random numbers, so that only the effects make their metrics differ. A law gives
+brightness and width of the spot from the conditions of a frame, such as its exposure.
 """
 
 from collections.abc import Callable, Sequence
@@ -104,7 +105,7 @@ def _apply_gains(gains: np.ndarray) -> AppliedEffect:
     """Return an effect without parameters that multiplies the light of each pixel by 1 + gains [row, column]."""
 
     def multiply_light(frame: FrameConditions, light_dn: np.ndarray) -> np.ndarray:
-        """Return the light [DN] times the gains, which are not negative; the frame has no influence."""
+        """Return the light [DN] times 1 + gains, at least 0; the frame has no influence."""
         return light_dn * np.maximum(1 + gains, 0.0)
 
     steps = (Step(Stage.PIXEL_GAIN, multiply_light),)
