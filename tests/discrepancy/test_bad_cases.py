@@ -220,7 +220,7 @@ CASES: dict[str, Callable[[], Case]] = {
         words="Note: 2 of 14 spot frames cannot be used (the pixels are those of another frame).",
     ),
     "hot cluster brighter than faint spots": lambda: Case(
-        spots(after=far_cluster, shape=(160, 150)), words="Note: 6 of 12 spots lie more than half a crop from"
+        spots(after=far_cluster, shape=(160, 150)), words="Note: 6 of 12 spots lie more than half a crop away from"
     ),
     "an angle that only tests": lambda: Case(
         [f for f in spots(repeats=6) if f.angle == 0 or f.repeat == 2],

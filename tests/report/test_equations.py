@@ -88,3 +88,9 @@ def test_pages_name_every_equation(tmp_path):
     for where in ("optics.speckle_grain", "test_top_hat_cuts_at_a_quarter"):
         assert where in page
     assert (tmp_path / "symbols.html").stat().st_size > 1000
+
+
+def test_names_that_code_reads(tmp_path):
+    """Calls, attributes and passed functions; not definitions, assignments or texts."""
+    (tmp_path / "a.py").write_text("def f():\n    g(h.k)\n    x = 'text'\n    return m\n")
+    assert equations.find_used_names(tmp_path) == {"g", "h", "k", "m"}

@@ -34,10 +34,20 @@ def test_photons_equal_the_closed_form_of_table_3():
 def test_photons_are_linear_in_the_exposure_and_in_every_loss():
     one = photons.reflected_photons(BASE, 1e-4)
     assert photons.reflected_photons(BASE, 9e-4) == pytest.approx(9 * one, rel=1e-12)
-    dimmer = replace(BASE, {"optics.lens_transmission": 0.5, "material.directional_factor": 0.3})
+    gain = 0.3 * BASE.material.specular_gain
+    dimmer = replace(BASE, {"optics.lens_transmission": 0.5, "material.specular_gain": gain})
     assert photons.reflected_photons(dimmer, 1e-4) == pytest.approx(0.15 * one, rel=1e-12)
     stopped = replace(BASE, {"optics.f_number": 22.0})
     assert photons.reflected_photons(stopped, 1e-4) == pytest.approx(one / 4, rel=1e-12)
+
+
+def test_the_lens_collects_its_solid_angle_of_a_lambertian_surface():
+    """The part of cos θ light within the cone of a pupil of f/(2 f_a) at d_w is sin² of its half-angle."""
+    optics = BASE.optics
+    angle = np.arctan(optics.focal_length_m / (2 * optics.f_number * optics.working_distance_m))
+    assert photons.lambertian_collection(BASE) == pytest.approx(np.sin(angle) ** 2, rel=2 * angle**2)
+    # The paper's 1/f_a² is a factor of 99 more.
+    assert 1 / optics.f_number**2 / photons.lambertian_collection(BASE) == pytest.approx(99.2, abs=0.05)
 
 
 @pytest.mark.parametrize("spread_m", [120e-6, 280e-6, 400e-6])

@@ -20,6 +20,8 @@ from rig.errors import RigError
 from rig.plan import Site
 from rig.settings import Settings
 
+# Gain over a Lambertian surface with which the lens collects 1/f_a² of the light, (2 d_w/f)².
+PAPER_GAIN = (2 * 0.25 / 0.0502) ** 2
 # What is searched: dotted key -> lowest value, highest value, step. All else comes from the settings file.
 SPACE: dict[str, tuple[float, float, float]] = {
     "seed": (1, 100_000, 1),
@@ -31,7 +33,8 @@ SPACE: dict[str, tuple[float, float, float]] = {
     "sensor.clip_screen_sigma": (1.5, 2.2, 0.1),
     "speckle.patterns": (2, 3, 1),
     "laser.polarisation_deg": (0, 175, 5),
-    "material.directional_factor": (0.4, 1.5, 0.01),
+    # In units of the gain that the paper's factor 1/f_a² stands for.
+    "material.specular_gain": (0.4 * PAPER_GAIN, 1.5 * PAPER_GAIN, 0.01 * PAPER_GAIN),
     "material.spread_along_m": (270e-6, 350e-6, 2e-6),
     "material.spread_across_m": (230e-6, 290e-6, 2e-6),
     "material.spread_polarisation": (0.0, 0.25, 0.01),

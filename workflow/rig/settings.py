@@ -70,7 +70,8 @@ class Material:
     """The composite: how much light comes back towards the lens, and how far it spreads before."""
 
     reflectance: float = 0.02
-    directional_factor: float = 1.0
+    # With the lens and distance of Table 3, the paper's factor 1/f_a².
+    specular_gain: float = (2 * 0.25 / 0.0502) ** 2
     spread_along_m: float = 280e-6
     spread_across_m: float = 280e-6
     spread_polarisation: float = 0.0
@@ -160,7 +161,7 @@ _BOUNDS: dict[str, tuple[float, float]] = {
     "laser.fwhm_x_m": (0, 1),
     "laser.fwhm_y_m": (0, 1),
     "material.reflectance": (0, 1),
-    "material.directional_factor": (0, 1e6),
+    "material.specular_gain": (0, 1e8),
     "material.spread_along_m": (0, 1),
     "material.spread_across_m": (0, 1),
     "material.spread_polarisation": (-0.9, 0.9),

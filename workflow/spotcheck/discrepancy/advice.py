@@ -10,7 +10,10 @@ model. Their score is c = C'V⁻¹r. Their information is M = C'V⁻¹C by one n
 −2 ln L of the rival increases by n r'V⁻¹r − n² c'(I + n M)⁻¹ c.
 
 A law is an effect that changes only brightness and width of the spots, from frame to frame. Laws are compared by
-ln peak and ln σ of the spots, all other effects by the readings of the pixels.
+ln peak and ln σ of the spots, all other effects by the readings of the pixels. A `Design` has the conditions of frames.
+A `LawSearch` has the inverse of the covariance of the observed ln peak and ln σ (`inverse`), and the part of that
+covariance by the fits of the spots (`noise`). A `LawFit` has the fitted laws (`law`, `effects`), the names of their
+parameters, and the derivatives of the observations by these (`jacobian`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +28,7 @@ from spotcheck.discrepancy.evidence import information_beside
 from spotcheck.discrepancy.findings import Advice, NamedEffect
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.laws import LawFit, LawSearch, is_law, spot_conditions
+from spotcheck.discrepancy.laws import LawFit, LawParameter, LawSearch, is_law, spot_conditions, value_of, with_value
 from spotcheck.model.effect import Effect, EffectScales
 from spotcheck.model.forward import ForwardModel
 
@@ -187,6 +190,7 @@ def compare_images(name: str, rival: Effect, present: PresentFits) -> tuple[Wort
     rival_model = without.model.with_effect(candidates[0].start, present.scales)
     rival_fit = fit_jointly(rival_model, thinned, tolerance=TOLERANCE, iterations=ITERATIONS)
     targets = np.arange(SPOT_PARAMETERS * rival_fit.equations.frames, rival_fit.equations.size)
+    # Scaled from the thinned to all pixels.
     known = information_beside(rival_fit, targets) * fit.pixels.share / thinned.share
 
     def worth_of(condition: Condition) -> FrameWorth | None:
@@ -196,7 +200,8 @@ def compare_images(name: str, rival: Effect, present: PresentFits) -> tuple[Wort
         readings, root_weight = expected.moments.mean, np.sqrt(expected.weight).ravel()
         if readings.max() > USABLE_SHARE * model.forward.sensor.full_scale_dn:
             return None
-        # The rival's spot starts from that of the named effect, and is refitted linearly: the basis spans its changes.
+        # The rival's spot starts from that of the named effect, and is refitted linearly: `basis` spans the changes of
+        # the whitened readings by the spot. A blocked beam has no spot to fit.
         model = replace(model, forward=rival_fit.model.forward, free=rival_fit.model.free)
         rival = evaluate(model, replace(pixels, readings=np.where(pixels.is_used, readings, 0.0)), slice(0, 1))
         shape = rival.weight.shape
@@ -287,20 +292,9 @@ def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[W
     return worth_of, rival_laws.jacobian.T @ search.inverse @ rival_laws.jacobian
 
 
-def slope_of_spot(model: ForwardModel, parameter: tuple[str, str], design: Design) -> np.ndarray:
-    """Return the derivatives of ln peak and ln σ of one frame by a parameter of its laws [2].
-
-    The parameter is given as (effect, name); the effect is "" for the exposure law.
-    """
-    effect, name = parameter
-    if effect:
-        applied = next(applied for applied in model.effects if applied.effect.name == effect)
-        step = STEP * max(abs(applied.parameters[name]), LEAST_SCALE)
-        changed = applied.with_value(name, applied.parameters[name] + step)
-        moved = replace(model, effects=tuple(changed if other is applied else other for other in model.effects))
-    else:
-        assert model.law is not None
-        value = getattr(model.law, name)
-        step = STEP * max(abs(value), LEAST_SCALE)
-        moved = replace(model, law=replace(model.law, **{name: value + step}))
+def slope_of_spot(model: ForwardModel, parameter: LawParameter, design: Design) -> np.ndarray:
+    """Return the derivatives of ln peak and ln σ of one frame by a parameter of its laws [2]."""
+    value = value_of(model, parameter)
+    step = STEP * max(abs(value), LEAST_SCALE)
+    moved = with_value(model, parameter, value + step)
     return (predict_spot(moved, design) - predict_spot(model, design)) / step

@@ -8,7 +8,8 @@ The declared model is that of the instrument, without effects. The spot paramete
 y. A site is the set of frames of the same angle, settings and repeat. Granular light is a random field in the light
 that frames of a site share and that neighbouring pixels share ("grains"). Its dispersion is the factor by which it
 increases the variance of sums of residuals. A law is an effect that changes only brightness and width, from frame to
-frame. A free shape is a light shape whose values at nodes are fitted.
+frame. A free shape is a light shape whose values at nodes are fitted. A clip is a sensor stage that limits readings to
+a level. A `FieldEstimate` has the relative `variance` of a random field, its `stderr`, and `reasons` against the field.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -383,6 +384,7 @@ def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: Res
     brightest_dn = np.partition(readings, -BRIGHT_RANK, axis=1)[:, -BRIGHT_RANK]
     brightest_quarter_dn = np.sort(brightest_dn)[-max(len(frames) // 4, 1) :]
     broadening_px = np.exp(model.spots.log_sigma) - setting.baseline.laser_px
+    # Slope of ln(σ − laser width) over ln t.
     exponent = 0.0
     if design.has_exposures and len(np.unique(design.exposure_s)) > 1:
         log_broadening = np.log(np.maximum(broadening_px, LEAST_BROADENING_PX))

@@ -1,10 +1,12 @@
 """Score tests of effects: estimate how much each starting point of each effect would lower −2 ln L, without a refit.
 
-A start is an effect with the parameter values from which a fit would begin. Its change is what it adds to the mean and
-variance of the readings. Nuisance parameters are all unknowns of the present fit: the four spot parameters of each
-frame (ln peak, ln σ, x, y), the fitted parameters of sensor and effects, and the coefficients of a free shape. A free
-shape is a light shape whose values at nodes are fitted, in place of the declared shape of the instrument. A candidate
-is a start with its score test. Granular light is a random field in the light that neighbouring pixels share.
+A start is an effect with the parameter values from which a fit would begin; its first parameter is its strength. Its
+change is what it adds to the mean [DN] and variance [DN²] of the readings, a pair of arrays. A column is the pair of
+their derivatives by an unknown. A `JointFit` has the fitted `model`, its `pixels` and the normal `equations`. Nuisance
+parameters are all unknowns of this fit: the four spot parameters of each frame (ln peak, ln σ, x, y), the fitted
+parameters of sensor and effects, and the coefficients of a free shape. A free shape is a light shape whose values at
+nodes are fitted, in place of the declared shape of the instrument. A candidate is a start with its score test. Granular
+light is a random field in the light that neighbouring pixels share.
 """
 
 from collections.abc import Sequence
@@ -34,9 +36,9 @@ from spotcheck.model.stage import Stage
 # Range of the multiple of a start's strength at which a fit begins. It is limited because the score test assumes that
 # the change is proportional to the strength. Beside a free shape it is at most 1: the shape must change with it.
 SIZES, SIZES_BESIDE_SHAPE = (0.3, 30.0), (0.3, 1.0)
-# Least estimated multiple of the change of a start that vanishes at an infinite strength, such as a clip. It is about 1
-# if the effect is present.
-LEAST_FINITE_SIZE = 0.15
+# Least estimated multiple of a start's change for a clip: an effect that vanishes at an infinite strength, since it
+# limits readings to a level. The multiple is about 1 if the clip is present.
+LEAST_CLIP_SIZE = 0.15
 # Least part of a change's Fisher information that nuisance parameters must leave; below, they can mimic the change.
 SEPARABLE_SHARE = 1e-5
 # A candidate is a shape finer than the nodes of the free shape if the part of its information that nuisance parameters
@@ -66,7 +68,10 @@ class Candidate:
 
 
 def changes_mean_image(effect: Effect) -> bool:
-    """Return whether an effect changes the mean image of a single frame in more than its brightness and width."""
+    """Return whether an effect changes the mean image of a single frame in more than its brightness and width.
+
+    Effects all of whose steps draw random numbers do not.
+    """
     steps = [step for steps in effect.variants.values() for step in steps]
     is_law = all(step.stage in SPOT_STAGES for step in steps)
     return bool(steps) and not is_law and not all(isinstance(step, RandomStep) for step in steps)
@@ -129,15 +134,16 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
 
 
 def scale_start(start: AppliedEffect, size: float, model: JointModel) -> AppliedEffect | None:
-    """Return a start whose strength gives `size` times its change; None if the effect cannot have this size.
+    """Return the start with the strength at which its change would be `size` times as large.
 
-    The multiple is limited to `SIZES`. The start of an effect that vanishes at infinity (a clip) stays as it is.
+    The multiple is limited to `SIZES`, or to `SIZES_BESIDE_SHAPE` if the model has a free shape. A clip stays as it is.
+    None for a negative size of an effect that has one sign only, or a clip of at most `LEAST_CLIP_SIZE`.
     """
     effect = start.effect
     strength = effect.parameters[0].name
     value = start.parameters[strength]
     if not np.isfinite(effect.vanishes_at):
-        return start if size > LEAST_FINITE_SIZE else None
+        return start if size > LEAST_CLIP_SIZE else None
     if size < 0 and value_is_one_sided(start):
         return None
     limits = SIZES if model.grid is None else SIZES_BESIDE_SHAPE
@@ -162,7 +168,7 @@ class ChangeSums:
     fit : JointFit
         Fit that has the unknowns.
     evaluation : Evaluation
-        Its model at the pixels of the batch.
+        Its model at the pixels of the batch: `slopes` are derivatives of the light by the spot parameters.
     batch : slice
         Frames of the evaluation.
     count : int
@@ -191,6 +197,7 @@ class ChangeSums:
         """Set the sums of change number k."""
         evaluation, columns = self._evaluation, self._fitted_columns
         self.alone[k] = evaluation.information_of(change, change)
+        # Σ slope × equivalent is the information between a spot parameter and the change.
         equivalent = evaluation.light_equivalent(change)
         batch_spots = slice(SPOT_PARAMETERS * self._batch.start, SPOT_PARAMETERS * self._batch.stop)
         self.cross[batch_spots, k] = np.einsum("afhw,fhw->fa", evaluation.slopes, equivalent).ravel()
@@ -237,7 +244,8 @@ def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> Projected
     cross, score, alone, of_shape = sum_batches(sum_batch, fit.pixels)
     information, half_shape = alone.copy(), None
     if equations.shape is not None:
-        # Eliminate the coefficients of the free shape; `equations` are without them already.
+        # Eliminate the coefficients of the free shape; `equations` are without them already. `shape.cross` is L⁻¹ times
+        # the information between the coefficients and the other unknowns.
         half_shape = equations.shape.factor.half_solve(of_shape)
         cross = cross - equations.shape.cross.T @ half_shape
         score = score - half_shape.T @ equations.shape.score
@@ -253,6 +261,7 @@ def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], changes
     The mean over pixels is weighted with the projected Fisher information of the start's change.
     """
     model, equations = fit.model, fit.equations
+    # Coefficients of the free shape that reproduce each change best, beside the other unknowns.
     coefficients = None
     if changes.half_shape is not None and equations.shape is not None:
         coefficients = equations.shape.factor.back_solve(changes.half_shape - equations.shape.cross @ changes.absorbed)
@@ -302,6 +311,7 @@ def varying_share(fit: JointFit, applied: AppliedEffect) -> float:
         (point > pixel.min(axis=1, keepdims=True)) & (point < pixel.max(axis=1, keepdims=True))
         for point, pixel in ((x, compared.x[:, 0]), (y, compared.y[:, :, 0]))
     )
+    # Pixels of made-up crops, which lie at the same points of every spot in units of its σ.
     sampled = replace(compared, x=x[:, None, :], y=y[:, :, None], row_share=np.ones((len(frames), POINTS, 1)))
     conditions = conditions_of(model.design.select(frames), spots, sampled)
     with_effect = replace(model.forward, effects=(*model.forward.effects, applied))

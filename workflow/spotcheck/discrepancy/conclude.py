@@ -4,7 +4,11 @@ A named effect is one that the verdict reports as present. The gap is the square
 noise; the share of an effect is the part of the gap that it closes. A law is an effect that changes only brightness and
 width of the spots, from frame to frame. p1 and p2 [px] are the parameters of the exposure law of the width,
 σ = laser width + p1 ln t + p2. A free light shape has fitted values at nodes, in place of the declared shape of the
-instrument. Scatter is the random variation of pixels, frames or sites that a random effect may explain.
+instrument. A static shape is an effect that changes the light in the same way in every frame, so that it may explain a
+free shape. Scatter is the random variation of pixels, frames or sites that a random effect may explain.
+
+An `Analysis` has the frames with the fit of the declared model (`prepared`) and the final fit with tests of its effects
+(`selected`). It also has the scatter, the laws, and the predictions of held-out frames (`validated`).
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -100,7 +104,7 @@ def _further_tests(analysis: Analysis) -> list[ResidualTest]:
     """
     tests = []
     prepared, setting = analysis.prepared, analysis.prepared.setting
-    dark = measure_scatter(prepared.images, prepared.declared, 0).dark
+    dark = measure_scatter(prepared.images, prepared.declared, hot_pixels=0).dark
     if dark is not None:
         stderr = setting.stderr.get("read_noise_e", 0.0)
         noise = white_noise(dark, prepared.declared.model.forward.sensor, setting.sensor, stderr)
@@ -129,7 +133,7 @@ def _learned_light(analysis: Analysis) -> LearnedLight | None:
 
 
 def _pulls(analysis: Analysis) -> tuple[SensorPull, ...]:
-    """Return the fitted values of the parameters whose errors the data sheet states."""
+    """Return the parameters of the sensor that were fitted with the value of the data sheet as a prior."""
     fit = analysis.selected.fit
     errors = _errors_of(fit, analysis.selected.covariance)
     return tuple(
@@ -323,6 +327,7 @@ def _scatter_effect(scatter: NamedScatter, analysis: Analysis, effects: Sequence
     return NamedEffect(
         applied=applied,
         values=_values(applied, {name: interval.stderr for name, interval in scatter.intervals.items()}),
+        # z is the root of the gain, or the variance in standard errors, which approximates it (Wald).
         gain=float(scatter.z**2),
         z=scatter.z,
         rivals=rivals,

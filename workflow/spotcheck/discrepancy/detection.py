@@ -8,6 +8,10 @@ than too small.
 A cell is a part of the images, such as a block, a ring or a row, over which residuals are summed. A division of the
 frames (all together, by condition, by angle, one by one) says which frames are summed. A field is a random relative
 variation of the light that several pixels or frames share: granular light, or gains of pixels.
+
+A `StandardizedFrame` has images of a frame: residuals in units of their noise (`z`), derivatives of z by the light
+(`offset`) and by ln peak (`relative`), and orthonormal columns that span the changes of z by the spot (`absorbed`). `u`
+and `v` are distances from the spot [σ]. A `CellSums` has the `kind` of its cells, with a name.
 """
 
 from collections.abc import Sequence
@@ -60,7 +64,7 @@ OVERLAP_VARIANCE = 1 / 6
 class Trial:
     """One p-value within a test."""
 
-    p_value: float
+    p_value: float  # of this trial alone
     statistic: float  # strongest residual in standard errors
     where: str  # place of this residual in words
 
@@ -176,6 +180,7 @@ def _try_pattern(sums: np.ndarray) -> list[Trial]:
     sums [scope, weight, 3] has sum, variance and third cumulant of products over pairs of frames.
     """
     trials = []
+    # The first weight of pixels stands for an offset of the light, the second for a relative change of it.
     for by_weight, scope in zip(sums, ("in frames of one site", "at different sites"), strict=True):
         for (total, variance, third), region in zip(by_weight, ("", ", in the light of the spot"), strict=True):
             if variance > 0:
@@ -227,7 +232,7 @@ def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATT
         return Unexplained(0.0, np.inf, 0.0, np.nan, np.nan)
     mean = float(excess.sum() / blocks)
     site = np.unique(images.design.site, return_inverse=True)[1]
-    # Grains are the same in all frames of a site, and correlate blocks: number of further squares like each square.
+    # Grains are the same in all frames of a site, and correlate blocks: number of squares that vary with each square.
     grain_px = max((np.nan_to_num(field.grain_px) for field in scatter.fields), default=0.0)
     further_squares = np.bincount(site)[site] * max(1.0, np.pi * (grain_px**2 / side**2 + OVERLAP_VARIANCE)) - 1
     variance = sum(p.noise_variance + n * p.scatter_variance for p, n in zip(powers, further_squares, strict=True))
@@ -244,9 +249,9 @@ def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATT
 def _measure_blocks(images: ResidualImages, side: int, scatter: KnownScatter, frame: int) -> BlockPower:
     """Return the power of the blocks of a frame; blocks have `side` × `side` pixels.
 
-    Columns Q of the spot are orthonormal in units of the noise; a fit of the spot takes Q Q'z off the residuals z. With
-    U = block sums of the columns in DN, and W = block means of the columns over noise, it takes about U W' times the
-    sums of blocks off them.
+    The columns Q [pixel, spot parameter] are orthonormal in units of the noise, and a fit of the spot takes Q Q'z off
+    the residuals z. Let U [spot parameter, block] be the block sums of Q times the noise [DN], and W those of Q over
+    the noise, divided by the pixels of a block [1/DN]. The fit then takes about U'W s off the block sums s [DN].
     """
     standard = standardize(images, frame)
     is_used = standard.offset > 0
@@ -264,8 +269,9 @@ def _measure_blocks(images: ResidualImages, side: int, scatter: KnownScatter, fr
     def subtract_fitted(powers: np.ndarray, far_powers: np.ndarray) -> np.ndarray:
         """Return expected squares of block sums [block, DN²] after the fit of the spot, from those before it.
 
-        `far_powers` are the same for a block in the sum of all blocks, with which it may be correlated.
+        `far_powers` [block, DN²] are the covariances of each block sum with the sum of all blocks, which the fit uses.
         """
+        # Covariance of the fitted amounts W s [spot parameter, spot parameter].
         of_coefficients = (w * far_powers) @ w.T
         return powers - 2 * far_powers * np.sum(u * w, axis=0) + np.sum(u * (of_coefficients @ u), 0)
 

@@ -5,7 +5,9 @@ unknown. Two columns have the Fisher information Σ [dm₁ dm₂/v + dv₁ dv₂
 Σ [dm r/v + dv (r²/v − 1)/(2 v)] with the residual r = y − m. Sums are over pixels.
 
 Unknowns of a fit are the four spot parameters of each frame, the fitted parameters of sensor and effects
-(`JointModel.free`), and the coefficients of a free light shape if the model has one. A batch is a slice of the frames;
+(`JointModel.free`), and the coefficients of a free light shape if the model has one. A `JointModel` has the values of
+all unknowns: `forward` (light, sensor, effects) and `spots`, with the conditions of the frames, `design`. Granular
+light is a random field in the light, such as speckle, that neighbouring pixels share. A batch is a slice of the frames;
 h and w are the rows and columns of the pixels that a fit uses in each frame.
 """
 

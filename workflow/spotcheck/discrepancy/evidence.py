@@ -5,7 +5,8 @@ and effects. The coefficients of a free light shape, if there is one, have been 
 under test; all others are nuisance parameters. Granular light is a random field in the light that neighbouring pixels
 share. The dispersion is the factor by which it increases the variance of a score. Frames of a condition have the same
 exposure and settings. Frames of a site have the same angle, settings and repeat, so that they share one granular field.
-A batch is a slice of the frames.
+A batch is a slice of the frames. A column is the pair of derivatives of mean and variance of the readings by an
+unknown. A `JointFit` has the fitted `model`, its `pixels`, the normal `equations` and the `deviance`, −2 ln L.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,7 +34,7 @@ from spotcheck.sensor import ROUNDING_VARIANCE
 # sides of BLOCK_PX.
 MANY_SITES, BLOCK_PX = 8, 16
 # Sectors of the spot, and the radius [σ] that divides its information into two rings with about as much of it each.
-SECTORS, RING_RADIUS = 8, 1.2
+SECTORS, RINGS, RING_RADIUS = 8, 2, 1.2
 # Factors by which cluster labels keep the coordinates of pixels and the frames apart; sensors are smaller [px].
 ROW_FACTOR, FRAME_FACTOR, ROW_FRAME_FACTOR = 10_000, 10**8, 10**6
 # Least part of the information that a cell of the consistency test must have to count.
@@ -206,8 +207,8 @@ def least_gain(model: JointModel) -> float:
 def measure_gain(fit: JointFit, name: str, wald: float, dispersion: float) -> float:
     """Return the drop of −2 ln L by an effect, over its dispersion.
 
-    It takes a refit without the effect, unless `wald` (z²) is a certain substitute. The refit is made to thinned pixels
-    where their result cannot change the decision, and to all pixels otherwise.
+    A finite z² (`wald`) above `CERTAIN` is returned in its place. Otherwise a refit without the effect gives the drop.
+    The refit is made to thinned pixels if their result cannot change the decision, else to all pixels.
     """
     if CERTAIN < wald < np.inf:
         return wald
@@ -262,6 +263,7 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
     # Steps of the unknowns that reproduce the column of each target best; 0 for the targets themselves.
     steps = np.zeros((equations.size, len(targets)))
     steps[others] = solve_positive(information[np.ix_(others, others)], information[np.ix_(others, targets)])
+    # The same steps of the coefficients of a free shape [coefficient, target].
     coefficients = None
     if equations.shape is not None:
         cross = equations.shape.cross
@@ -310,7 +312,7 @@ def label_cells(model: JointModel, evaluation: Evaluation, batch: slice) -> np.n
     """Return the cell of each pixel [frame, h, w]: sector × ring × condition."""
     sector, ring = divide_spot(evaluation)
     condition = model.design.condition[batch][:, None, None]
-    return sector + SECTORS * (ring + 2 * condition)
+    return sector + SECTORS * (ring + RINGS * condition)
 
 
 def label_sites(model: JointModel, evaluation: Evaluation, batch: slice) -> np.ndarray:

@@ -1,7 +1,8 @@
 """Covariance of fitted spot parameters by granular light.
 
 Granular light is a random field that multiplies the light. Neighbouring pixels share it, and so do the frames of a
-site. The spot parameters of a frame are ln peak, ln σ, x and y; F is the number of frames.
+site. The spot parameters of a frame are ln peak, ln σ, x and y; F is the number of frames. A `FieldEstimate` has the
+relative `variance` of the field and the standard deviation of its Gaussian correlation, `grain_px` [px].
 """
 
 from dataclasses import replace
@@ -57,6 +58,7 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
         evaluation = evaluate(model, whole_crops(frames.select(members)), slice(0, len(members)))
         mean_slope = evaluation.moments.mean_slope
         slopes, by_log_light = mean_slope * evaluation.slopes, mean_slope * evaluation.light.spot
+        # Weight of a reading by the noise and the field together.
         field_variance = 0.0 if is_in_model else grains.variance * by_log_light**2
         weight = evaluation.weight / (1 + field_variance * evaluation.weight)
         whitened = (slopes * np.sqrt(weight)).reshape(SPOT_PARAMETERS, len(members), -1)
@@ -85,7 +87,8 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
 def share_in_fit(fit_covariance: np.ndarray, by_pixels: np.ndarray) -> float:
     """Return the part, 0 to 1, of the covariance by the field in single pixels that the fit's covariance contains.
 
-    Both are [4, 4], of one spot. The part is 1 unless the fit assumes a weaker field.
+    Both are [4, 4], of one spot. The part is 1 unless the field's covariance exceeds that of the fit, whose weights
+    then contain a weaker field.
     """
     largest_ratio = float(np.linalg.eigvals(solve_positive(fit_covariance, by_pixels)).real.max())
     return LARGEST_SHARE / largest_ratio if largest_ratio > LARGEST_SHARE else 1.0

@@ -1,7 +1,8 @@
-"""Relative fields: granular light, which is different at each site, and gains of pixels, which are fixed to the sensor.
+"""Relative fields: granular light (grains), different at each site, and gains of pixels, which are fixed to the sensor.
 
 A relative field is a random image that multiplies the light. Its covariance is estimated from products of residuals
-that share no noise. For residual r [DN], G = d mean/d ln peak [DN] and weight w [1/DN²], let a = r G w and b = G² w.
+that share no noise. For residual r [DN], G = d mean/d ln peak [DN] (`ResidualImages.spot`) and weight w [1/DN²], the
+inverse variance of a reading, let a = r G w and b = G² w.
 The covariance at a lag is then Σ a a'/Σ b b' over pairs of pixels at this lag. Here a' and b' belong to the second
 pixel, a lag is its displacement from the first one, and b stands for light below. Pairs of frames of one site share
 grains and gains; frames of different sites share gains alone. Errors come from a jackknife over sites, or over blocks

@@ -2,7 +2,8 @@
 
 A free shape is a light shape whose values at nodes, in units of peak and σ of each spot, are fitted. A site is a set of
 frames of the same angle, settings and repeat. If the fine structure is left out of the model, it looks like noise that
-increases with the light, and a curved response of the sensor would be fitted to it.
+increases with the light, and a curved response of the sensor would be fitted to it. An `Evaluation` has the score of
+the light of each pixel, the derivative of ln L (`light_score`), and the Fisher information on it (`light_information`).
 """
 
 from dataclasses import replace

@@ -4,7 +4,8 @@ A level is a set of flats of the same light. Its data are the mean and the varia
 those of darks. K is the gain [DN/e-], R the light of the lamp at the largest level [DN]. Published flats often differ
 from any model by more than their stated errors, which come from the drift between the frames of one level. This scatter
 is estimated as variance components (`LevelScatter`), in turn with the parameters. An effect that does not reduce the
-scatter then gains little likelihood.
+scatter then gains little likelihood. `FlatLevels` has the data (`values`), their stated `errors`, and whether a level
+`is_held_out` from fits.
 """
 
 from collections.abc import Sequence
@@ -55,6 +56,8 @@ class LevelScatter:
         variance_by_mean = mean_slope * variance_slope / (mean_slope**2 + LEAST_SLOPE**2)
         lamp_excess = (self.lamp**2 - 1) * mean_error**2
         mean_variance = (self.lamp * mean_error) ** 2 + self.converter_dn**2
+        # Only the excess by the lamp moves the variance as well. Given the mean, its best estimate is taken off
+        # (regression), and the part that remains unknown is added to the error of the variance.
         regression = variance_by_mean * lamp_excess / mean_variance
         lamp_variance = variance_by_mean**2 * lamp_excess * (1 - lamp_excess / mean_variance)
         conditional_variance = (self.variance * variance_error) ** 2 + lamp_variance
@@ -131,6 +134,7 @@ def estimate_scatter(levels: FlatLevels, residual: np.ndarray, slopes: np.ndarra
     variance = error**2 + (np.median(error) * CONVERTER_TRIALS[:, None]) ** 2
     factor = np.maximum((square / variance).sum(axis=1, keepdims=True) / freedom, 1.0)
     variance = factor * variance
+    # −2 ln L of the means with as many independent values as degrees of freedom.
     deviance = (square / variance).sum(axis=1) + freedom * np.log(variance).mean(axis=1)
     best = int(np.argmin(deviance))
     lamp = float(np.sqrt(factor[best, 0]))
@@ -199,8 +203,9 @@ def fit_levels(
 class _LevelProblem:
     """Least-squares problem of a model with effects.
 
-    A point is a vector of ln R, K and the parameters of the effects [parameter]. `model` gives its start. Derivatives
-    are reused at points within `nearby`, a distance in scales of the parameters.
+    A point is a vector of ln R, K and the parameters of the effects [parameter]. `model` gives its `start`. `names` are
+    (effect, parameter), `scales` typical sizes of the parameters, `low` and `high` their bounds. Derivatives are reused
+    at points within `nearby`, a distance in scales of the parameters.
     """
 
     def __init__(self, levels: FlatLevels, model: ForwardModel, nearby: float) -> None:

@@ -79,7 +79,8 @@ def collect_levels(transfer: Transfer, full_scale_dn: float) -> FlatLevels | Non
     Parameters
     ----------
     transfer : Transfer
-        Levels and their photon transfer by a straight line.
+        Levels of flats (`flats`), and mean `signal` [DN] and variance `excess` [DN²] of each less those of darks.
+        `quantities` has the results of a straight line by name, such as the gain.
     full_scale_dn : float
         Largest reading [DN].
     """
@@ -102,6 +103,7 @@ def collect_levels(transfer: Transfer, full_scale_dn: float) -> FlatLevels | Non
     relative_light = light / light.max()
     # Without a steady lamp, the exposure stands for the light.
     exposure_s = (relative_light * longest_s)[:, None, None]
+    # One pixel at the centre of the endless spot of each level.
     conditions = FrameConditions(PixelGrid(origin, origin, 1, 1), origin, origin, exposure_s, longest_s, longest_s)
     declared, dark, dark_errors = _declare(transfer, values[0], relative_light, longest_s, full_scale_dn)
     levels = FlatLevels(

@@ -5,6 +5,10 @@ is an effect with the values from which its fit would begin. Standardized data a
 fitted levels, transformed to unit covariance [datum]. The declared model is a linear sensor. A scatter is that of the
 levels beyond their stated errors: by the lamp, by the converter, and of the variances. Rivals are effects that explain
 the levels about as well as a selected one, in its place.
+
+`FlatLevels` has the `values` [2, level] (means, then variances), their `errors`, and whether a level `is_held_out` from
+fits. A `LevelFit` has the fitted `model`, the `residual` [2, level], the derivatives of the expected values by its
+parameters (`jacobian`) and of the readings by the light (`slopes`), the `scatter`, and the `deviance`, −2 ln L.
 """
 
 from collections.abc import Callable, Sequence

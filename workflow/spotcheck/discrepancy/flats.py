@@ -5,9 +5,13 @@ declared model is a linear sensor: the mean is proportional to the light (with R
 level), and the variance to the mean (with the gain K). R and K are nuisance parameters. The extended model is the
 declared one with the named effects, which act at the same stages of the sensor as for spots. A scatter
 (`LevelScatter`) is that of the levels beyond their stated errors: by the lamp, by the converter, and of the variances.
+
+`FlatLevels` has the `values` [2, level] (means, then variances), their `errors`, the relative `light`, and whether a
+level `is_held_out` from fits. A `LevelFit` has the fitted `model`, the `residual` [2, level], the derivatives of the
+readings by the light (`slopes`), the estimated `scatter`, and the `deviance`, −2 ln L.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +40,7 @@ from spotcheck.discrepancy.findings import (
 from spotcheck.discrepancy.flat_fit import LevelFit, LevelScatter, estimate_covariance, fit_levels
 from spotcheck.discrepancy.flat_levels import FEWEST_LEVELS, FlatLevels, collect_levels
 from spotcheck.discrepancy.flat_selection import (
+    Log,
     SelectedLevelEffects,
     add_effect,
     assess_smoothness,
@@ -45,6 +50,7 @@ from spotcheck.discrepancy.flat_selection import (
     select_level_effects,
     without_effect,
 )
+from spotcheck.discrepancy.places import correct_for_number
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep
 
 # Reason if nothing can be assessed.
@@ -65,8 +71,6 @@ NOT_FOUND = "not found"
 LIMIT_TRIALS, LIMIT_ACCURACY = 16, 0.01
 # Further frames that halve errors, in numbers of present frames: errors are proportional to 1/√(number).
 HALVING_FRAMES = 3
-
-Log = Callable[[str], None]
 
 
 def analyse_flats(
@@ -101,7 +105,8 @@ def analyse_levels(
     Parameters
     ----------
     transfer : Transfer
-        Levels and the photon transfer by straight lines.
+        Levels, and `quantities` of the photon transfer by straight lines: each has `value`, `stderr`, and in `why` the
+        reason if it is unknown.
     full_scale_dn : float
         Largest reading [DN].
     effects : sequence of Effect
@@ -121,7 +126,9 @@ def analyse_levels(
     without = {name: without_effect(levels, fit, name) for name in fit.effect_names}
     gap, shares = measure_gap(levels, declared, fit, scatter, without)
     covariance = estimate_covariance(levels, fit)
-    gain_variance = covariance[position := fit.position("", "gain_dn_per_e"), position]
+    position = fit.position("", "gain_dn_per_e")
+    gain_variance = covariance[position, position]
+    # Scatter of the lamp beyond the stated errors, relative to the light.
     lamp_scatter = (scatter.lamp**2 - 1) ** 0.5 * float(np.median(levels.errors[0] / levels.values[0]))
     return Findings(
         has_converged=declared.has_converged and fit.has_converged,
@@ -159,9 +166,11 @@ def reason_not_assessed(effect: Effect, levels: FlatLevels) -> str:
 def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detection:
     """Test whether the residuals of a fit have a part that is smooth in light.
 
-    A rough residual, from level to level, is taken for scatter of the lamp.
+    A rough residual, from level to level, is taken for scatter of the lamp. The p-value of all tests is corrected for
+    their number.
     """
     tests = []
+    # Number `value` is 0 for the means and 1 for the variances.
     z = deviations_in_errors(levels, fit, scatter)
     for value, smoothness in enumerate(assess_smoothness(levels, fit, scatter)):
         where = name_place(levels, value, int(np.argmax(np.abs(z[value]))))
@@ -169,7 +178,7 @@ def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detectio
         name = f"{VALUES[value]}: smooth in light"
         tests.append(ResidualTest(name, where, smoothness.excess, p_value, float(norm.isf(p_value))))
     tests.sort(key=lambda test: test.p_value)
-    return Detection(float(-np.expm1(len(tests) * np.log1p(-tests[0].p_value))), tuple(tests))
+    return Detection(correct_for_number(tests[0].p_value, len(tests)), tuple(tests))
 
 
 def deviations_in_errors(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> np.ndarray:
@@ -270,8 +279,10 @@ def name_effects(
 def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Effect) -> UpperLimit:
     """Return the range of the strength of an effect that is not named.
 
-    The range comes from a fit if the levels react to the effect, else from score tests. Both ends are NaN for a rival
-    of a named effect, and for an effect that the levels do not show.
+    The range comes from a fit if its score test promises a drop of −2 ln L by at least `LEAST_FIT`, else from score
+    tests at several strengths. Both ends are NaN for a rival of a named effect, and for an effect that the levels do
+    not show. `selected` has the fit of the extended model, the `tests` of its effects, and `objections`: why an effect
+    was removed from it.
     """
     parameter = effect.parameters[0]
     limit = UpperLimit(effect.name, parameter.name, parameter.unit, selected.objections.get(effect.name, NOT_FOUND))

@@ -3,6 +3,10 @@
 The frames of a site share the angle of the fibres, the declared conditions and the repeat. The gain of a fluctuation is
 the drop of −2 ln L (REML) that its variance brings. Granular light scatters the fitted spots as well, so that a
 fluctuation counts only if it exceeds this part (`SpotNumbers.field_variance`).
+
+A `LawSearch` has the fitted spots with their covariance (`numbers`) and the conditions of the frames (`design`). Its
+`saturated_mean` has a free mean for each angle and exposure, so that it contains every law across frames. `components`
+are the variance components that are needed beside it, and `variances` is their fit.
 """
 
 from dataclasses import dataclass
@@ -38,7 +42,7 @@ def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
     fit_of_kept = search.variances
 
     def assess(name: str, variance: float, variance_of_it: float, gain: float) -> Fluctuation:
-        """Return one component from its variance [1] and the variance of this estimate."""
+        """Return the fluctuation of a component from the estimate of its variance and the variance of that estimate."""
         by_field = search.numbers.field_variance[LOG_SIGMA if name.endswith("width") else LOG_PEAK]
         return Fluctuation(deviation_interval(variance, variance_of_it), gain, _reasons(gain, variance, by_field))
 

@@ -1,4 +1,9 @@
-"""Hot pixels: isolated pixels of the sensor whose mean reading over frames is far above that of their neighbours."""
+"""Hot pixels: isolated pixels of the sensor whose mean reading over frames is far above that of their neighbours.
+
+A `FrameSet` has crops around the spots, `readings` [frame, row, column] in DN, NaN where a pixel is masked. `left` and
+`top` are column and row of the sensor under pixel (0, 0) of each crop. Frames of a site share granular light
+("grains").
+"""
 
 from dataclasses import replace
 

@@ -6,7 +6,8 @@ convergence.
 
 The unknowns are, in this order, the spot parameters of each frame (ln peak, ln σ_g, x, y) and the free parameters of
 sensor and effects. A free light shape adds the coefficients of its nodes, which the equations eliminate. The Newton
-decrement is the drop of −2 ln L that a full step would bring if −2 ln L were quadratic.
+decrement is the drop of −2 ln L that a full step would bring if −2 ln L were quadratic. `NormalEquations.promise` gives
+this drop for any step. The factor is the Cholesky factor of the information on the coefficients of the shape.
 """
 
 from dataclasses import dataclass, replace
@@ -86,7 +87,7 @@ class JointModel:
     are those of `forward.baseline.learned`, which may also hold a learned shape that is not fitted.
     """
 
-    forward: ForwardModel  # baseline, sensor and effects; without a law of the exposure
+    forward: ForwardModel  # light, sensor and effects; without a law of brightness and width, which are spot parameters
     spots: FrameParameters  # spot parameters of each frame
     design: Design  # conditions of the frames
     free: tuple[FreeParameter, ...] = ()  # fitted parameters of sensor and effects
@@ -224,8 +225,8 @@ def fit_jointly(
         Readings of all frames of the model's design.
     tolerance : float
         Newton decrement of the effects, beside all other unknowns, below which the fit has converged. That of all
-        unknowns is scaled in proportion. Both are multiplied by the largest of 1, `NormalEquations.dispersion` and
-        `Pixels.dispersion`.
+        unknowns is scaled in proportion. Both are multiplied by the largest of 1, `NormalEquations.dispersion` (mean
+        squared standardised residual) and `Pixels.dispersion` (effect of granular light on the variance of a score).
     iterations : int
         Most steps.
     rival : float, optional
@@ -234,7 +235,7 @@ def fit_jointly(
         −2 ln L to reach, for a start near the optimum. The fit ends early if `REACHABLE_DROP` decrements miss it.
     """
     equations = assemble(model, pixels)
-    damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0
+    damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0  # `factor_age`: steps since the factor was computed
     total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
     while True:
         fixed = _find_blocked(model, equations)

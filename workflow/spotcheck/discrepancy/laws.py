@@ -6,8 +6,8 @@ reflectance that follows the fibre angle. The frames of a site share angle, decl
 
 Observations are z = (ln peak of F frames, ln σ_g of F frames) [2F]. Their total covariance V is the covariance C of the
 joint fit plus the variance components, which are scatter from frame to frame and from site to site. These are estimated
-beside a saturated mean (`spot_components`), so that no missing law increases them. Sets of laws are compared by
-χ² = r' V⁻¹ r of the residuals r with the same V.
+beside a saturated mean, which is free for each angle and exposure, so that no missing law increases them. Sets of laws
+are compared by χ² = r' V⁻¹ r of the residuals r with the same V.
 """
 
 import copy
@@ -20,7 +20,7 @@ import numpy as np
 from scipy import special, stats
 
 from spotcheck.discrepancy.candidates import SPOT_STAGES
-from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, LAW_TIE, MIN_GAIN, MIN_Z, VARIANT_TIE
+from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, CONFIDENCE, LAW_TIE, MIN_GAIN, MIN_Z, VARIANT_TIE
 from spotcheck.discrepancy.evidence import is_negligible
 from spotcheck.discrepancy.frames import LOG_PEAK, LOG_SIGMA, Design
 from spotcheck.discrepancy.mixed_model import Interval, fit_reml
@@ -274,9 +274,9 @@ class LawSearch:
         mean = self.mean_of(model)
         columns = []
         for parameter in names:
-            value, (low, high) = _value_of(model, parameter), self._bounds_of(model, parameter)
+            value, (low, high) = value_of(model, parameter), self._bounds_of(model, parameter)
             step = DIFFERENCE * max(abs(value), LEAST_SCALE * (high - low) if np.isfinite(high - low) else 1.0)
-            columns.append((self.mean_of(_with_value(model, parameter, value + step)) - mean) / step)
+            columns.append((self.mean_of(with_value(model, parameter, value + step)) - mean) / step)
         jacobian = np.stack(columns, 1)
         return np.nan_to_num(mean), np.nan_to_num(jacobian)
 
@@ -298,12 +298,12 @@ class LawSearch:
             if np.isfinite(high - low) and abs(change) > LARGEST_STEP * (high - low):
                 fraction = min(fraction, LARGEST_STEP * (high - low) / abs(change))
         for parameter, change in zip(names, step, strict=True):
-            old = _value_of(model, parameter)
+            old = value_of(model, parameter)
             value = old + fraction * change
             if parameter == PEAK:
                 # A logarithmic step of at most a factor e keeps the peak above 0.
                 value = old * np.exp(np.clip(fraction * change / old, -1, 1))
-            model = _with_value(model, parameter, float(np.clip(value, *self._bounds_of(model, parameter))))
+            model = with_value(model, parameter, float(np.clip(value, *self._bounds_of(model, parameter))))
         return model
 
     def select(self, effects: Sequence[Effect]) -> tuple[LawNames, list[LawNames], dict[LawNames, LawFit]]:
@@ -348,7 +348,7 @@ class LawSearch:
         # The first parameter of an effect is its strength. Its estimate is a weighted sum of the observations.
         weights = self.inverse @ fit.jacobian @ fit.covariance[:, rows[0]]
         dof = self.degrees_of_freedom(weights, fit.covariance[rows[0], rows[0]])
-        quantile = float(stats.t.ppf(0.975, dof))
+        quantile = float(stats.t.ppf((1 + CONFIDENCE) / 2, dof))
         errors = np.sqrt(np.diag(fit.covariance)[rows])
         intervals = {
             fit.names[k].name: Interval.around(applied.parameters[fit.names[k].name], error, quantile)
@@ -364,15 +364,15 @@ class LawSearch:
         if is_negligible(applied, self.scales):
             reasons.append("negligible")
         for factor in dict.fromkeys(FACTORS[need] for need in applied.effect.needs if need in FACTORS):
-            excess, freed = self.lack_of_fit(fit, factor)
-            if freed > 0 and excess - freed > max(CELL_SLACK * np.sqrt(2 * freed), CELL_MISFIT * max(gain, 0.0)):
-                reasons.append(f"lack of fit over {factor}: {excess:.0f} on {freed}")
+            drop, freedom = self.lack_of_fit(fit, factor)
+            if freedom > 0 and drop - freedom > max(CELL_SLACK * np.sqrt(2 * freedom), CELL_MISFIT * max(gain, 0.0)):
+                reasons.append(f"lack of fit over {factor}: {drop:.0f} on {freedom}")
         return NamedLaw(applied, intervals, z, gain, tuple(reasons))
 
     def degrees_of_freedom(self, weights: np.ndarray, variance: float) -> float:
-        """Return Satterthwaite's degrees of freedom of a weighted sum of the observations.
+        """Return Satterthwaite's degrees of freedom, 2 variance²/(its error)², of a weighted sum of the observations.
 
-        They are finite because the variance components are estimates. `weights` [2F]; `variance` is that of the sum.
+        The `variance` of the sum has an error, since the variance components are estimates. `weights` are [2F].
         """
         if not self.components:
             return LARGEST_FREEDOM
@@ -430,16 +430,16 @@ def upper_tail_z(log_p: float) -> float:
     return float(-special.ndtri_exp(log_p)) if log_p > LEAST_LOG_P else LARGEST_Z
 
 
-def _value_of(model: ForwardModel, parameter: LawParameter) -> float:
-    """Return the value of a parameter of a model, in its unit."""
+def value_of(model: ForwardModel, parameter: LawParameter) -> float:
+    """Return the value of a parameter of the laws of a model, in its unit."""
     if not parameter.effect:
         return getattr(model.law, parameter.name)
     applied = next(applied for applied in model.effects if applied.effect.name == parameter.effect)
     return applied.parameters[parameter.name]
 
 
-def _with_value(model: ForwardModel, parameter: LawParameter, value: float) -> ForwardModel:
-    """Return the model with another value of a parameter."""
+def with_value(model: ForwardModel, parameter: LawParameter, value: float) -> ForwardModel:
+    """Return the model with another value of a parameter of its laws."""
     if not parameter.effect:
         assert model.law is not None
         return replace(model, law=replace(model.law, **{parameter.name: value}))

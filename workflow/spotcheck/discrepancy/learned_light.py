@@ -3,10 +3,13 @@
 A shape is the light of a spot over its peak at places u, v [σ] from its centre. Brightness, width and centre of a shape
 cannot be told from those of each frame's spot. The learned shape S is therefore described in the gauge (brightness A,
 width w and centre a, b) in which it is nearest to the declared shape B. The difference of both is
-d(u, v) = S(w u + a, w v + b)/A − B(u, v). All arrays [ring, direction] are values on a polar grid about the centre.
+d(u, v) = S(w u + a, w v + b)/A − B(u, v). All arrays [ring, direction] are values on a polar grid about the centre. A
+`Baseline` is a model of the light: `spot(u, v, peak, σ)` is its light, and `learned` the learned difference S − B.
 
 Unknowns of the fit are the coefficients of the learned shape, the spot parameters of the frames (ln peak, ln σ_g, x, y)
-and the fitted parameters of sensor and effects. The frames of a site share angle, declared conditions and repeat.
+and the fitted parameters of sensor and effects. In the normal equations of a fit, `shape.factor` is the Cholesky factor
+L of the information on the coefficients; it solves with L (`half_solve`) and with L' (`back_solve`). The frames of a
+site share angle, declared conditions and repeat.
 """
 
 from dataclasses import dataclass, replace
@@ -163,7 +166,7 @@ def summarize_shape(light: LearnedLight) -> dict[str, Any]:
 
 
 def find_covered(fit: JointFit, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return which places u, v [σ] lie within the used pixels of at least one frame [ring, direction]."""
+    """Return which places u, v [σ] lie in the rectangle of used pixels of at least one frame [ring, direction]."""
     pixels, spots = fit.pixels, fit.model.spots
     is_covered = np.zeros(u.shape, bool)
     for frame, sigma in enumerate(np.exp(spots.log_sigma)):
@@ -336,9 +339,10 @@ def find_clear_part(difference: np.ndarray, noise: np.ndarray, grid: PolarGrid) 
 
 
 def measure_orders(difference: np.ndarray, noise: np.ndarray, grid: PolarGrid) -> np.ndarray:
-    """Return the share of each azimuthal order in ∫d² without noise, for the first `ORDERS` orders [order].
+    """Return the shares of the first `ORDERS` azimuthal orders in ∫d², the sum over all orders [order].
 
-    The difference d is [ring, direction], its noise [draw, ring, direction].
+    The mean ∫noise² of each order is subtracted first; an order that does not exceed it has the share 0. The difference
+    d is [ring, direction], its noise [draw, ring, direction].
     """
 
     def squares(values: np.ndarray) -> np.ndarray:

@@ -5,6 +5,8 @@ declared shape of the light. A static effect changes the shape in the same way i
 replace it. "Thinned pixels" are a random subset of rows and columns. The dispersion is the variance of the score
 (derivative of ln L) over that of independent readings: above 1 with granular light, whose grains neighbouring pixels
 share. Drops of −2 ln L grow in proportion to it by noise alone. The frames of a site share one field of grains.
+A `JointFit` has the fitted `model`, its `pixels` and its `deviance`, −2 ln L; `pixels.share` is the fraction that these
+pixels are of those of a full fit.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -101,10 +103,11 @@ def evidence_of_drop(declared: JointFit, drop: float) -> ShapeEvidence:
 def measure_thinned_evidence(fit: JointFit) -> ShapeEvidence:
     """Return the evidence for a free shape beside the effects of a fit, on thinned pixels and scaled to all.
 
-    Sensor and effects are fixed; spots and shape are fitted. A shape is fitted to half of the sites and predicts the
-    frames of the others. Noise and granular light increase the drop of −2 ln L of the fitted half as much as they
-    decrease that of the predicted half: the mean of both drops is that by the true shape. The smaller result of the two
-    halves counts. With a single site the noise is subtracted as in `measure_evidence`.
+    The fit has the declared shape. Its sensor and effects are fixed; spots and shape are fitted. A shape is fitted to
+    half of the sites and predicts the frames of the others. Noise and granular light raise the drop of −2 ln L in the
+    fitted half as much as they lower it in the predicted half. The mean of both drops is therefore the drop that the
+    true shape would cause. The smaller result of the two halves counts. With a single site the noise is subtracted as
+    in `measure_evidence`.
     """
     site = fit.model.design.site
     is_first = np.isin(site, np.unique(site)[::2])
@@ -112,12 +115,14 @@ def measure_thinned_evidence(fit: JointFit) -> ShapeEvidence:
         thinned, free = fit_thinned_shape(fit)
         evidence = measure_evidence(thinned, free)
     else:
+        # Fits to each half: with the declared shape, and with a free one.
         halves = [
             fit_thinned_shape(fit.select(np.flatnonzero(half)), EVIDENCE_PIXELS // 2) for half in (is_first, ~is_first)
         ]
         drops = [measure_cross_drop(*halves[k], others=halves[1 - k][0]) for k in (0, 1)]
         thinned = halves[int(np.argmin(drops))][0]
         evidence = evidence_of_drop(thinned, min(drops))
+    # `evidence.drop` is over the dispersion of the thinned pixels.
     ratio = fit.pixels.count / thinned.pixels.count * thinned.pixels.dispersion / fit.pixels.dispersion
     return replace(evidence, drop=ratio * evidence.drop)
 
@@ -229,9 +234,10 @@ def is_significant(applied: AppliedEffect, errors: Mapping[tuple[str, str], floa
 
 
 def add_static_effect(fit: JointFit, effects: Sequence[Effect], scales: EffectScales) -> JointFit | None:
-    """Return the fit with the static effect that lowers −2 ln L most, of those that score tests rank first.
+    """Return the fit with the static effect that lowers −2 ln L most, among the leading candidates of score tests.
 
-    None if none lowers it by `MIN_GAIN` times the dispersion.
+    `effects` are the static effects that `fit` does not contain. None if none lowers −2 ln L by `MIN_GAIN` times the
+    dispersion.
     """
     refits, least_drop = [], MIN_GAIN * fit.pixels.dispersion
     for candidate in screen_candidates(fit, list_starts(effects, scales))[:MOST_STATIC_REFITS]:

@@ -4,11 +4,14 @@ The limit of an effect of the mean image, or of a law across frames, is the weak
 (`strength_trials`). A trial is a strength on one side of where the effect vanishes. Its estimate is the size s ± e of
 the change that this strength makes, as a fraction, by a score test; the strength is excluded if s + k e < 1 with the
 normal quantile k. Directions are the starts of an effect that differ in its direction parameter alone. A clip vanishes
-at infinity: its limit is a lower one.
+at infinity: its limit is a lower one. A `Trial` has the `sign` of its side and the tried `distance` from where the
+effect vanishes (1/strength for a clip). It also has the `estimate` (`size` s, `error` e, `z` = s/e) and the `limit`.
 
 Errors are inflated by √(Q/(n − 1)) if Cochran's Q over n cells of the data exceeds n − 1 (the scale factor of the
 Particle Data Group, Review of Particle Physics, introduction). Random effects are limited by the interval of their
-standard deviation. Scales are sizes of the dataset, from which effects derive bounds and starting values.
+standard deviation. Scales are sizes of the dataset, from which effects derive bounds and starting values. A law is a
+dependence of brightness and width of the spot on the conditions of a frame, such as its exposure. "Named" effects are
+those that the verdict reports as present.
 """
 
 from collections.abc import Collection, Sequence
@@ -87,7 +90,7 @@ def find_limits(
 ) -> tuple[UpperLimit, ...]:
     """Return the limits of all effects that are not named and that the design can show.
 
-    An effect without a limit has NaN ends and a reason.
+    An effect without a limit gets an `UpperLimit` whose `low` and `high` are NaN, with a reason.
 
     Parameters
     ----------
@@ -102,9 +105,10 @@ def find_limits(
     baseline : Baseline
         Declared model of the light.
     laws : LawSearch, optional
-        Search for laws of brightness and width on the spots of the final fit; None without a law of the exposure.
+        Search for laws in the spots of the final fit. None if the declared model leaves the peak of each frame free, so
+        that no law can be tested; laws then have no limit.
     scatter : sequence of NamedScatter
-        Random effects, named or not.
+        Random effects with the interval of their size, whether the verdict names them or not.
     withdrawn : collection of str
         Names of effects that the search found and held-out frames refuted.
     """
@@ -116,8 +120,8 @@ def find_limits(
     if laws is not None:
         present = [effect for effect in effects if effect.name in named and is_law(effect)]
         limits |= limit_laws(laws, present, [effect for effect in rest if is_law(effect)])
-    for named_scatter in scatter:
-        limits[named_scatter.applied.effect.name] = limit_scatter(named_scatter, len(fit.model.spots.x), scales)
+    for random_effect in scatter:
+        limits[random_effect.applied.effect.name] = limit_scatter(random_effect, len(fit.model.spots.x), scales)
     of_rest = [limits.get(effect.name) or explain_missing(effect, fit.model) for effect in rest]
     return tuple(replace(limit, reason=NOT_CONFIRMED) if limit.effect in withdrawn else limit for limit in of_rest)
 
@@ -142,7 +146,7 @@ def list_not_assessed(effects: Sequence[Effect], design: Design, baseline: Basel
 
 
 def explain_missing(effect: Effect, model: JointModel) -> UpperLimit:
-    """Return a limit with NaN ends and the reason why the effect has none."""
+    """Return an `UpperLimit` without ends (NaN), and the reason why the effect has no limit."""
     if effect.is_static_shape and model.grid is not None:
         reason = CONFOUNDED
     elif not any(effect.variants.values()):
@@ -185,7 +189,8 @@ def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -
         remark = BEYOND_RANGE
     elif z > MIN_Z and all(is_negligible(start.with_value(strength.name, end), scales) for end in ends):
         reason = TOO_SMALL
-    # The change grows as distance**power, and its error falls as 1/√frames: half the distance takes 4**power as many.
+    # The change grows as distance**power, and the error of its size falls as 1/√frames: half the distance takes
+    # 4**power as many frames.
     powers = [trial.power for trial in sides if np.isfinite(trial.power) and not trial.is_linear]
     more_frames = None if remark else int(np.ceil((4 ** max(powers, default=1.0) - 1) * frames))
     return UpperLimit(effect.name, strength.name, strength.unit, reason, low, high, more_frames, remark)
@@ -195,7 +200,7 @@ def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -
 
 
 def is_limited_by_pixels(effect: Effect, model: JointModel) -> bool:
-    """Return whether the mean image limits an effect; a free shape would replace a static one, so that it cannot."""
+    """Return whether the mean image limits an effect: not a static one beside a free shape, which can absorb it."""
     return changes_mean_image(effect) and not (effect.is_static_shape and model.grid is not None)
 
 
@@ -213,19 +218,24 @@ def limit_mean_effects(fit: JointFit, effects: Sequence[Effect], scales: EffectS
     def predict(trials: Sequence[Trial]) -> list[Estimate]:
         """Return the estimates to expect without the effect, with the errors of all pixels."""
         projection = project_trials(thinned, [trial.applied()[0] for trial in trials])
+        # All pixels have 1/share times the information of the thinned ones.
         errors = np.sqrt(share / np.maximum(projection.information, 1e-300))
         errors[(projection.information <= SEPARABLE_SHARE * projection.alone) | (errors > LARGEST_ERROR)] = np.inf
         return [Estimate(0.0, float(error), float(stats.norm.ppf(trial.quantile_level)))
                 for trial, error in zip(trials, errors, strict=True)]  # fmt: skip
 
     def measure(trials: Sequence[Trial]) -> list[Estimate]:
-        """Return the estimates by the score on all pixels; nuisance parameters are projected off by thinned ones."""
+        """Return the estimates by the score on all pixels.
+
+        Nuisance parameters are projected off with coefficients that the thinned pixels give.
+        """
         directions = [trial.applied() for trial in trials]
         applied = list(chain(*directions))
         score, information = sum_trials(fit, applied, project_trials(thinned, applied))
-        first = np.cumsum([0, *map(len, directions)])
-        return [estimate_size(trial, fit.model.design, score[a:b], information[a:b])
-                for trial, a, b in zip(trials, first, first[1:], strict=False)]  # fmt: skip
+        # Position of the first direction of each trial in `applied`.
+        offsets = np.cumsum([0, *map(len, directions)])
+        return [estimate_size(trial, fit.model.design, score[start:stop], information[start:stop])
+                for trial, start, stop in zip(trials, offsets, offsets[1:], strict=False)]  # fmt: skip
 
     trials = solve_trials(list_trials(effects, scales), predict, FIRST_TRIES)
     trials = solve_trials(list(chain(*choose_farthest(trials, of_variants=True).values())), predict, TRIES)
@@ -263,18 +273,18 @@ def profile_clip(fit: JointFit, trial: Trial, highest: float) -> float:
     clipped = np.flatnonzero(np.exp(fit.model.spots.log_peak) > 1 / distances[-1])
     if len(clipped) == 0:
         return highest
-    design = fit.model.design.select(clipped)
-    pixels = fit.pixels.select(clipped)
-    plain = replace(fit.model, spots=fit.model.spots.select(clipped), design=design, free=(), grid=None)
+    selected = fit.select(clipped)
+    # Only the spots are fitted.
+    plain = replace(selected.model, free=(), grid=None)
 
     def deviance_at(distance: float) -> float:
         """Return −2 ln L with the clip at the level 1/distance."""
         (applied, *_) = replace(trial, distance=distance).applied()
         model = replace(plain, forward=replace(plain.forward, effects=(*plain.forward.effects, applied)))
-        return fit_jointly(model, pixels, tolerance=PROFILE_TOLERANCE, iterations=PROFILE_ITERATIONS).deviance
+        return fit_jointly(model, selected.pixels, tolerance=PROFILE_TOLERANCE, iterations=PROFILE_ITERATIONS).deviance
 
     deviances = {distance: deviance_at(distance) for distance in distances}
-    minimum = min(fit_jointly(plain, pixels, iterations=PROFILE_ITERATIONS).deviance, *deviances.values())
+    minimum = min(fit_jointly(plain, selected.pixels, iterations=PROFILE_ITERATIONS).deviance, *deviances.values())
     bound = minimum + float(stats.norm.ppf(trial.quantile_level)) ** 2
     allowed = max((distance for distance, deviance in deviances.items() if deviance < bound), default=distances[0])
     excluded = min((distance for distance in distances if distance > allowed), default=np.inf)
@@ -304,8 +314,8 @@ def estimate_size(trial: Trial, design: Design, score: np.ndarray, information: 
 def inflation_of(score: np.ndarray, information: np.ndarray, labels: np.ndarray) -> float:
     """Return the inflation √(Q/(n − 1)) of an error, at least 1, with Cochran's Q over n cells.
 
-    A cell is a label [frame], such as a site, and a place. `score` and `information` are [frame, place]. Cells with
-    little information are left out.
+    A cell is a label [frame], such as a site, and a place. `score` and `information` are [frame, place]. With their
+    sums u and i over each cell, Q = Σ u²/i − (Σ u)²/Σ i. Cells with little information are left out.
     """
     number = np.unique(labels, return_inverse=True)[1].ravel()
     shape = (number.max() + 1, score.shape[1])
@@ -323,7 +333,8 @@ def inflation_of(score: np.ndarray, information: np.ndarray, labels: np.ndarray)
 def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect]) -> dict[str, UpperLimit]:
     """Return the limits of laws beside the named ones, by name; the weakest limit of all variants and starts counts.
 
-    A law that the frames cannot limit is left out.
+    A law that the frames cannot limit is left out. The observations of the search are ln peak and ln σ of all frames,
+    with the inverse covariance W'W, where W is `search.whitening`.
     """
     fit = search.fit(named)
     present = replace(search.forward, law=fit.law, effects=fit.effects)
@@ -344,6 +355,7 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
         size = add_directions(
             [change @ residual / max(square, 1e-300) for change, square in zip(changes, squares, strict=True)]
         )
+        # The size is the sum of the observations with these weights, and has this variance.
         freedom = search.degrees_of_freedom(search.whitening.T @ changes[0] / squares[0], 1 / squares[0])
         quantile = float(stats.t.ppf(trial.quantile_level, freedom))
         size = max(size, 0.0) if trial.is_one_sided else size
@@ -357,20 +369,21 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
     }
 
 
-def limit_scatter(named: NamedScatter, frames: int, scales: EffectScales) -> UpperLimit:
+def limit_scatter(random_effect: NamedScatter, frames: int, scales: EffectScales) -> UpperLimit:
     """Return the limit of a random effect: the upper end of the 95 % interval of its standard deviation.
 
-    It has NaN ends if the interval is unknown or exceeds the range of the parameter. `frames` is the number of frames.
+    Its ends are NaN if the interval is unknown or exceeds the range of the parameter. `frames` is the number of frames.
     """
-    effect = named.applied.effect
+    effect = random_effect.applied.effect
     strength = effect.parameters[0]
-    interval = named.intervals[strength.name]
+    interval = random_effect.intervals[strength.name]
     if not (np.isfinite(interval.stderr) and interval.stderr > 0 and interval.high < effect.bounds(scales)[0, 1]):
         return UpperLimit(effect.name, strength.name, strength.unit, NOT_MEASURED)
-    is_small = named.z > MIN_Z and is_negligible(named.applied.with_value(strength.name, interval.high), scales)
-    steps = [step for step in effect.variants[named.applied.variant] if isinstance(step, RandomStep)]
+    largest = random_effect.applied.with_value(strength.name, interval.high)
+    is_small = random_effect.z > MIN_Z and is_negligible(largest, scales)
+    steps = [step for step in effect.variants[largest.variant] if isinstance(step, RandomStep)]
     is_shared = any(step.scope is Scope.SENSOR for step in steps)
-    remark = ALREADY_PRESENT if named.z > PRESENT_Z else ""
+    remark = ALREADY_PRESENT if random_effect.z > PRESENT_Z else ""
     if np.isnan(effect.vanishes_at):
         remark = remark or NOT_FROM_ZERO
     # Half the standard deviation is a quarter of the variance. The error of a variance falls as 1/√frames, or as

@@ -3,7 +3,8 @@
 A chain of nested models leads from the declared model, without effects, to the extended one with all of them. It
 predicts the spot (peak, width and centre) of each held-out frame. Simulated frames have the conditions and masked
 pixels of the measured ones, the predicted spots, and noise. Those of the extended model also have all its random
-effects. Both models use the same random numbers, so that only the effects make their metrics differ.
+effects. Both models use the same random numbers, so that only the effects make their metrics differ. A law gives
+brightness and width of the spot from the conditions of a frame, such as its exposure.
 """
 
 from collections.abc import Callable, Sequence
@@ -104,7 +105,7 @@ def _apply_gains(gains: np.ndarray) -> AppliedEffect:
     """Return an effect without parameters that multiplies the light of each pixel by 1 + gains [row, column]."""
 
     def multiply_light(frame: FrameConditions, light_dn: np.ndarray) -> np.ndarray:
-        """Return the light [DN] times the gains, which are not negative; the frame has no influence."""
+        """Return the light [DN] times 1 + gains, at least 0; the frame has no influence."""
         return light_dn * np.maximum(1 + gains, 0.0)
 
     steps = (Step(Stage.PIXEL_GAIN, multiply_light),)
@@ -120,11 +121,13 @@ def compare_metrics(
     Parameters
     ----------
     validated : ValidatedChain
-        Chain of models, with the spots that they predict for the held-out frames.
+        Chain of models (`NestedModel`: the effect that it `added`, its `forward` model and its `scatter`), with the
+        spots that each predicts for the held-out frames.
     unseen : FrameSet
         The held-out frames.
     scatter : sequence of NamedScatter
-        Random effects. Those that a model of the chain has added are drawn in frames of the extended model.
+        Random effects, with `reasons` if one is not named. Those that a model of the chain has added are drawn in
+        frames of the extended model.
     seed : int
         Seed of the simulated frames.
 
@@ -181,7 +184,10 @@ def _build_simulator(
 def _measure_sources(
     frames: FrameSet, declared: FrameSimulator, extended: FrameSimulator, seed: int
 ) -> list[dict[str, np.ndarray]]:
-    """Return the metrics [frame] by name of three sources: measured frames, declared model and extended model."""
+    """Return the metrics [frame] by name of three sources: measured frames, declared model and extended model.
+
+    All are fitted with the declared shape. The PSNR is that of the notes of `compare_metrics`.
+    """
     images = [frames.readings.astype(float), declared.draw(seed), extended.draw(seed)]
     with ThreadPoolExecutor(THREADS) as pool:
         tables = list(pool.map(partial(_measure_images, forward=declared.forward), images))

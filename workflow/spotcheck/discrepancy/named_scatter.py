@@ -2,9 +2,13 @@
 
 A random step of an effect draws a number or a field at a stage of the image chain, anew for each frame, for each site
 or once for the sensor (its scope). An effect explains a measured scatter if its random steps have the same stages and
-scopes. The first parameter of a step's quadrature is the standard deviation of its draw. A further parameter of the
-draw is the standard deviation [px] of the correlation of a field. A parameter that no step has is the number of hot
-pixels.
+scopes. The `quadrature` of a step gives nodes and weights for means over its draw in a pixel; its first parameter is
+the standard deviation of the draw. A further parameter of the draw is the standard deviation [px] of the correlation of
+a field. A parameter that no step has is the number of hot pixels.
+
+`DarkNoise` has variances and covariances [DN²] of dark pixels, each with `value` and `stderr`: `white` of single
+pixels, `row` of what a row shares, `neighbour` of neighbours in a row, `next_row` of neighbouring rows, and `same_row`
+of the same row in different frames. A `FieldEstimate` has the relative `variance` of a field with its `stderr`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -3,7 +3,9 @@
 Each model adds one thing to the one before it: a learned light shape, an effect of the mean image, a law of brightness
 or width across frames, or a random effect. Every model has a law of the exposure, which is fitted to the brightness and
 width of the spots in its own fit of the pixels. The gap is the mean squared residual on held-out frames over that of
-noise, so that 1 is noise alone. An effect closes the difference between the gaps of its model and the one before it.
+noise, so that 1 is noise alone. An effect closes the difference between the gaps of its model and the one before it. A
+`Prediction` has the `gap` of a model, its significant excess over noise (`left_open`), and −2 ln p of the frames
+(`score`).
 """
 
 from collections.abc import Sequence

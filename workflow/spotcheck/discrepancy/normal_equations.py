@@ -7,7 +7,8 @@ terms C and score b, the other unknowns have the information H − (L⁻¹C)'(L�
 
 A score is a derivative of ln L. A column is the pair (dm, dv) of the derivatives of mean and variance of the readings
 by one fitted parameter, arrays [frame, h, w]. The light equivalent of a column, times a change of the light, is the
-information between the column and that change.
+information between the column and that change. An `Evaluation` has the `residual`, its `weight`, 1/variance, and the
+derivatives of the light by the spot parameters (`slopes`), with the score and information of the light of each pixel.
 """
 
 from __future__ import annotations
@@ -167,6 +168,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
         fill_equations(evaluation, columns, batch.start, information, gradient)
         used = evaluation.weight > 0
         squares = float(np.sum(evaluation.residual**2 * evaluation.weight))
+        # −2 ln L = Σ (r²/v + ln v), with ln v = −ln(weight).
         deviance = squares - float(np.sum(np.log(evaluation.weight, where=used, out=np.zeros(used.shape))))
         if model.grid is None:
             return information, gradient, deviance, squares

@@ -3,7 +3,9 @@
 A cell is a part of the images over which residuals are summed: a block of the sensor, a sector of a ring about the
 spot, a row, a column, a range of light ("grey level"), or the crop. A kind is a division of the images into cells. Each
 kind is tested for several divisions of the frames into groups. Frames of a condition have the same exposure and
-declared conditions. Frames of a site have the same angle, declared conditions and repeat.
+declared conditions. Frames of a site have the same angle, declared conditions and repeat. A `FieldEstimate` has the
+relative `variance` of a random field that multiplies the light; its Gaussian correlation has the standard deviation
+`grain_px` [px], NaN if pixels are independent.
 """
 
 from collections.abc import Iterator
@@ -112,7 +114,9 @@ def strongest_cells(cells: CellSums, design: Design, scatter: KnownScatter = NO_
     Parameters
     ----------
     cells : CellSums
-        Sums over the cells of one kind in each frame.
+        Sums over the cells of one kind in each frame: of residuals (`sums`), with their variance before the fit
+        (`norms`) and their `third` and `fourth` cumulant. The fit takes the squares of `absorbed` (spot of the frame)
+        and `common` (read noise) off the variance.
     design : Design
         Conditions of the frames.
     scatter : KnownScatter
@@ -139,6 +143,7 @@ def strongest_cells(cells: CellSums, design: Design, scatter: KnownScatter = NO_
         total = member @ cells.sums
         z = np.where(is_tested, to_normal(total / np.sqrt(variance), skewness), 0.0)
         group, cell = np.unravel_index(np.argmax(np.abs(z)), z.shape)
+        # Each term of `squares` has an expectation m ≤ 1. Normal terms have the variance 2 m², which is at most 2 m.
         mean = float((variance / norms)[is_tested].sum())
         yield StrongestCell(
             z=float(z[group, cell]),

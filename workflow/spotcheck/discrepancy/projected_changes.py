@@ -3,6 +3,8 @@
 A change is the pair of changes of mean [DN] and variance [DN²] of the readings at each pixel, each [frame, h, w]. The
 nuisance parameters are the spot parameters of each frame (ln peak, ln σ, x, y), the coefficients of a free light shape,
 and the fitted parameters of sensor and effects. A trial is an effect with a strength, which is not in the model.
+`ChangeSums` has the information of each change (`alone`), and that between changes and the unknowns of the fit: spots
+and fitted parameters (`cross`), and coefficients (`of_shape`).
 """
 
 from collections.abc import Sequence
@@ -22,14 +24,11 @@ from spotcheck.discrepancy.evaluation import (
     subtract_absorbed,
     sum_batches,
 )
-from spotcheck.discrepancy.evidence import SECTORS, divide_spot
+from spotcheck.discrepancy.evidence import RINGS, SECTORS, divide_spot
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel
 from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.model.effect import AppliedEffect
-
-# Rings into which `divide_spot` divides each sector of a spot.
-RINGS = 2
 
 
 @dataclass(frozen=True)
@@ -50,8 +49,8 @@ def change_by_strength(
 ) -> tuple[Column, Column | None]:
     """Return the change by the strength of an effect, and the change by its rest, or None if there is no rest.
 
-    The rest is what an effect with special cases does at the strength where it vanishes, such as the level of an offset
-    with a slope. It is a nuisance.
+    An effect may have a simpler effect as a special case, as an offset with a slope has a plain offset. The special
+    case remains where the strength (the slope) vanishes. It is the rest, and a nuisance.
     """
     change = change_at(model, applied, evaluation)
     if not applied.effect.special_cases:

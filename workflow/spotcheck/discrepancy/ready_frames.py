@@ -1,7 +1,8 @@
 """Frames of a dataset that are ready to be analysed for a verdict: selected, and with spots from which fits start.
 
 A site is the set of frames with the same angle, declared conditions and repeat; they show the same spot at several
-exposures. The grid of a dataset has a cell for each angle, exposure, repeat and declared condition.
+exposures. The grid of a dataset has a cell for each angle, exposure, repeat and declared condition. The baseline is the
+declared model of the light: shape of the spot, and laws of its brightness and width.
 """
 
 from collections import Counter
@@ -20,7 +21,7 @@ from spotcheck.discrepancy.starting_spots import (
     WIDEST_SPOT,
     Cell,
     fit_spots,
-    has_trusted_fit,
+    has_any_trusted_fit,
     load_spots,
     spots_by_moments,
     usable_cells,
@@ -69,8 +70,10 @@ def prepare_dataset(
     crops, sensor : xr.Dataset
         Content of crops.nc and sensor.nc.
     fits : xr.Dataset or None
-        Content of fits.nc, from which fits start; None to fit each frame alone first.
+        Content of fits.nc. Its spots are the starts of later fits; frames without a trusted fit start from second
+        moments. If it is None, or has no trusted fit at all, each frame is first fitted alone.
     """
+    # crops.nc has crops about the centroid of the light, and others about the brightest pixel.
     cells = usable_cells(dataset, crops["status"].sel(centring="light"))
     unusable = describe_unusable(dataset, crops)
     if not cells:
@@ -86,13 +89,13 @@ def prepare_dataset(
     left_out = len(frames) - int(shows_spot.sum())
     remarks = [unusable, *store.remarks_of(sensor), never_searched(frames.select(np.flatnonzero(shows_spot)))]
     if left_out:
-        text = "spots lie more than half a crop from where their site has its others"
+        text = "spots lie more than half a crop away from the other spots of their site"
         remarks.append(f"{left_out} of {len(frames)} {text}")
         frames = frames.select(np.flatnonzero(shows_spot))
         cells = [cell for cell, is_kept in zip(cells, shows_spot, strict=True) if is_kept]
     baseline = of_instrument(dataset.instrument, dataset.exposures)
     spots: FrameParameters | str
-    if fits is not None and has_trusted_fit(fits, cells):
+    if fits is not None and has_any_trusted_fit(fits, cells):
         spots = load_spots(fits, frames, cells)
     else:
         # Each frame is fitted with a peak of its own, whatever law of the peak the instrument states.
@@ -128,6 +131,7 @@ def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
     if not total:
         return "the manifest names no spot frame, and flats and darks are judged by `spotcheck flats`"
     status, dims = crops["status"].sel(centring="light"), store.grid_dims(crops)
+    # `STATUS` has (name, text) of each bit of the flags; `UNUSABLE` is the set of bits that exclude a frame.
     flags = [int(status.isel(dict(zip(dims, index, strict=True)))) for index, _ in dataset.cells()]
     reasons = Counter(text for flag in flags for bit, (_, text) in store.STATUS.items() if flag & bit & store.UNUSABLE)
     if not reasons:

@@ -1,8 +1,9 @@
 """Refits: the leading candidates of the selection, each fitted to the thinned pixels.
 
-A candidate is a start of an effect with its score test. A drop is a decrease of −2 ln L. Thinned pixels are a random
-subset of the pixels. The dispersion is the variance of a score over that of independent readings: it exceeds 1 if
-granular light is common to neighbouring pixels.
+A candidate is a `start` of an effect with the expected drop by a score test (`score`). A drop is a decrease of −2 ln L.
+Thinned pixels are a random subset of the pixels. The dispersion is the variance of a score over that of independent
+readings: it exceeds 1 if granular light is common to neighbouring pixels. A `JointFit` has the fitted `model`, its
+`pixels` and its `deviance`, −2 ln L.
 """
 
 from collections.abc import Callable, Sequence

@@ -1,7 +1,8 @@
 """Peaks of residual maps: periods of stripes and places of copies of the spot, from which effects may start.
 
 Stripes, such as interference fringes, multiply the light by a wave. Copies, such as ghosts, are weak images of the spot
-at a fixed displacement.
+at a fixed displacement. `ResidualImages` has images [frame, row, column]: the `residual` [DN], its `weight`,
+1/variance, and the light of the `spot` [DN].
 """
 
 import numpy as np

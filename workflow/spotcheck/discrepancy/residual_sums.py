@@ -4,7 +4,11 @@ A cell is a block of the sensor, a sector of a ring about the spot, a row, a col
 whole crop. The standardised residual of a pixel is z = r √w (residual r [DN], weight w = 1/variance). With the
 derivative a of z by the light, the sum Σ a z over a cell has the variance Σ a² − |Q'a|². The columns q of Q [pixel, 4]
 are orthonormal and span the changes of z by the spot parameters of the frame, ln peak, ln σ, x and y, which the fit has
-absorbed.
+absorbed. Dark pixels are those beyond 5 σ of the spot (`ResidualImages.is_dark`); they have a level of their own.
+
+`ResidualImages` also has the `residual`, the `weight`, the derivatives of the mean reading by the light (`slope`) and
+by ln peak (`spot`), and the corners of the crops on the sensor (`top`, `left`). A site is the frames of the same angle,
+declared conditions and repeat.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -43,8 +47,8 @@ LEAST_EIGENVALUE = 1e-5
 LEAST_SQUARE_VARIANCE = 0.1
 # Lags [row, column] at which neighbours are correlated.
 LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
-# Number of weights of pixels with which pairs of frames are summed, and of the sums by `_power_sums`.
-PAIR_WEIGHTS, POWER_SUMS = 2, 5
+# Number of weights of pixels with which pairs of frames are summed, and of the sums by `_power_sums` and `_sum_noise`.
+PAIR_WEIGHTS, POWER_SUMS, NOISE_SUMS = 2, 5, 6
 
 
 @dataclass(frozen=True)
@@ -108,7 +112,7 @@ def sum_residuals(images: ResidualImages) -> ResidualSums:
     skewness, kurtosis = level_cumulants(images)
     kinds, top, left = _define_kinds(images)
     cells = np.zeros((frames, sum(kind.count for kind in kinds), len(CELL_FIELDS) + SPOT_PARAMETERS))
-    noise = np.zeros((frames, LEVELS + 1, 6))
+    noise = np.zeros((frames, LEVELS + 1, NOISE_SUMS))
     fit_products = np.zeros((frames, SPOT_PARAMETERS, SPOT_PARAMETERS))
     neighbours = np.zeros((frames, len(LAGS), 2, 2))
     # `_define_kinds` returns other corners if spots lie far apart: then sites share no pixels.
@@ -121,6 +125,7 @@ def sum_residuals(images: ResidualImages) -> ResidualSums:
         column], and row and column at which these begin.
         """
         members = np.flatnonzero(images.design.site == site)
+        # Power sums are added in the smallest rectangle that holds the crops of the site, unless it is too large.
         corner = images.top[members].min(), images.left[members].min()
         extent = (np.ptp(images.top[members]) + rows, np.ptp(images.left[members]) + columns)
         is_compact = np.prod(extent) <= MOST_CANVAS * rows * columns
@@ -201,12 +206,13 @@ def level_cumulants(images: ResidualImages) -> tuple[np.ndarray, np.ndarray]:
 
     They are estimated from some frames and shrunk towards 0, the value of normal noise, in ranges of few pixels.
     """
+    # Σ zᵏ for k = 0 … 4 [k, level].
     moments = np.zeros((5, LEVELS + 1))
     for frame in np.random.default_rng(0).permutation(len(images.left))[:CUMULANT_FRAMES]:
         standard = standardize(images, frame)
         used = standard.offset > 0
         level, z, z_power = standard.level[used], standard.z[used].astype(float), np.ones(used.sum())
-        for order in range(5):
+        for order in range(len(moments)):
             moments[order] += np.bincount(level, z_power, LEVELS + 1)
             z_power = z_power * z
     first, second, third, fourth = moments[1:] / np.maximum(moments[0], 1.0)
@@ -269,6 +275,7 @@ def _sum_cells(
     count = rows * columns
     a, level = standard.offset.ravel().astype(float), standard.level.ravel()
     square = a * a
+    # By `CELL_FIELDS`. The cumulants of a z in a pixel are a³ times the skewness and a⁴ times the excess kurtosis.
     values = np.column_stack(
         [a * standard.z.ravel(), square, a * square * skewness[level], square**2 * kurtosis[level], a > 0, square**2,
          square * standard.relative.ravel() ** 2, *(a * standard.absorbed.reshape(SPOT_PARAMETERS, -1))]
@@ -336,7 +343,7 @@ def _cells_of_noise(sums: np.ndarray) -> CellSums:
 
 
 def _sum_neighbours(standard: StandardizedFrame) -> np.ndarray:
-    """Return Σ z z' over pairs of neighbours, and their number [lag, not dark or dark, 2].
+    """Return Σ z z' over pairs of neighbours, and their number [lag, not dark or dark, sum and number].
 
     The covariance that the fit of the spot causes is taken off. Both pixels of a pair are dark, or none.
     """

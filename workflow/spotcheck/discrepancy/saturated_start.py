@@ -2,7 +2,8 @@
 
 A clip is a sensor stage that limits readings to a level. Brightness and width that are fitted without it stall far from
 the truth, and hide the clip from every later test. If the light is granular (speckle), its contrast and the scatter of
-the clip level are fitted as well: grains in front of a clip bend the mean as a soft clip does.
+the clip level are fitted as well: grains in front of a clip bend the mean as a soft clip does. The first parameter of
+an effect is its strength; that of a clip is its level above the black level [DN], and the effect vanishes at infinity.
 """
 
 from collections.abc import Sequence
@@ -111,6 +112,7 @@ def fit_saturated(declared: JointFit, frames: FrameSet, effects: Sequence[Effect
     start = replace(declared.model, spots=spots)
     thin = thin_pixels(select_pixels(frames, spots))
     clips = [effect for effect in effects if effect.vanishes_at == np.inf]
+    # The first variant of a clip is the sharp one.
     sharp, *others = starts_of_clip(clips, pile, is_random=False)
     best = fit_jointly(start.with_effect(sharp, scales), thin, tolerance=TOLERANCE, iterations=FIRST_ITERATIONS)
     contrast = estimate_contrast(best.model, frames, pile.level_dn)
@@ -149,7 +151,7 @@ def starts_of_clip(clips: Sequence[Effect], pile: PileUp, is_random: bool) -> li
             random_steps = [step for step in steps if isinstance(step, RandomStep)]
             if bool(random_steps) == is_random:
                 for step in random_steps:
-                    # Parameters of what is drawn, other than the level, are its scatter.
+                    # A quadrature takes means over the draw; its parameters other than the level are the scatter.
                     for name in set(keyword_names_of(step.quadrature)) - {names[0]}:
                         values[name] = max(pile.scatter, LEAST_SCATTER)
                 used = {parameter.name for parameter in effect.parameters_of(variant)}

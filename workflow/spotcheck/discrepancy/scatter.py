@@ -3,6 +3,9 @@
 Products of residuals that share no noise estimate a covariance. A reading is cut at 0, so that it shows only a part of
 the noise before the cut: its mean follows that noise with a slope below 1. Covariances of residuals are divided by
 those of the slopes, which gives covariances of the signal before rounding and the cut.
+
+`ResidualImages` has images [frame, row, column]: the `residual` [DN], its `weight`, 1/variance, the `slope` of the mean
+reading by the light, and which pixels are dark (`is_dark`, beyond 5 σ of the spot). A line is a row or a column.
 """
 
 from dataclasses import dataclass
@@ -110,6 +113,7 @@ def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:
     The mean residual shows that light and is used to subtract its variance; the noise that is sought also shifts the
     mean, which the divisor takes into account.
     """
+    # Light that raises the mean by x raises the variance by this times x [DN].
     variance_by_mean = slopes.variance_by_light / slopes.mean_by_light
     rows_of_frames = []
     for residual, weight, dark in zip(images.residual, images.weight, images.is_dark, strict=True):
@@ -135,12 +139,14 @@ def ratio_moment(products: np.ndarray, visible: np.ndarray) -> Moment:
     products : array [frame, line]
         Sums of products of residuals in each line of pixels [DN²].
     visible : array [frame, line]
-        The same sums of products of slopes [1]: how much of a covariance the readings show.
+        Part of the moment that readings show, times the number of products [1]: for covariances, the same sums of
+        products with slopes in place of residuals.
 
     Returns
     -------
     Moment
         Its error comes from the scatter over frames; with few frames it is at least that from the scatter over lines.
+        The value has no meaning if Σ visible is 0.
     """
     total = max(float(visible.sum()), 1e-300)
     value = float(products.sum()) / total

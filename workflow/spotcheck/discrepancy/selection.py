@@ -4,7 +4,9 @@ A drop is a decrease of −2 ln L. A free shape is a light shape that is fitted 
 declared shape of the instrument. A static shape is an effect that changes the light in the same way in every frame. The
 dispersion is the variance of a score over that of independent readings: it exceeds 1 if granular light is common to
 neighbouring pixels. Drops are divided by it before they are compared with thresholds. Thinned pixels are a random
-subset of the pixels, on which candidates are ranked.
+subset of the pixels, on which candidates are ranked. A candidate is a `start` of an effect with the expected drop by
+its score test (`score`). A refit is its fit to the thinned pixels, with the drop less a price for parameters (`value`).
+A `JointFit` has the fitted `model`, its `pixels` and its `deviance`, −2 ln L.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -382,7 +384,9 @@ def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) 
 def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log: Log) -> SelectedEffects:
     """Remove effects that fail their test, the worst first, and refit, until all pass.
 
-    `path` holds the steps of the forward selection. If the last effect of a path fails, the step before it is taken.
+    `path` holds the steps of the forward selection. If the last effect of a path fails, the step before it is taken. An
+    `EffectTest` has the `gain` of an effect, its z² (`wald`), Cochran's Q (`heterogeneity`) with its `limit`, and the
+    rank for removal (`badness`).
     """
     path = list(path)
     if not path[-1].fit.has_converged:

@@ -109,6 +109,7 @@ class BlockFactor:
         self._below = np.zeros((blocks, self._size, self._size))
         width = 2 * NEIGHBOURS + 1
         for row, values in enumerate(band):
+            # Position of the diagonal below the main one; diagonals above it repeat others, by symmetry.
             offset = (row // width) * nodes + row % width - NEIGHBOURS
             if offset >= 0:
                 self._add_diagonal(offset, values)

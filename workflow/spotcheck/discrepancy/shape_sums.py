@@ -1,7 +1,9 @@
 """Sums over the pixels of frames with the basis functions of a free light shape.
 
 The basis functions are cubic B-splines at the nodes of a `ShapeGrid`, each with a coefficient. The derivative of the
-light of a pixel by a coefficient is its basis function at the pixel, times the peak.
+light of a pixel by a coefficient is its basis function at the pixel, times the peak. An `Evaluation` has the derivative
+of ln L by the light of each pixel (`light_score`), the Fisher information on it (`light_information`), and derivatives
+of the light by the spot parameters ln peak, ln σ, x and y (`slopes`).
 """
 
 from __future__ import annotations
@@ -28,18 +30,25 @@ class ShapeSums:
     ----------
     model : JointModel
         Model with a free shape.
-    at : Evaluation
+    evaluation : Evaluation
         The model at the pixels of the frames.
+
+    Attributes
+    ----------
+    nodes : int
+        Number of nodes along each side of the grid.
+    strongest : tuple of three arrays [frame, pixel]
+        u and v [σ] of each pixel from the centre of the strongest copy, and the summed factor of all copies [DN].
     """
 
-    def __init__(self, model: JointModel, at: Evaluation) -> None:
+    def __init__(self, model: JointModel, evaluation: Evaluation) -> None:
         assert model.grid is not None
-        self.nodes, self._per_step, self._evaluation = model.grid.nodes, 1 / model.grid.step, at
-        shape = at.residual.shape
+        self.nodes, self._per_step, self._evaluation = model.grid.nodes, 1 / model.grid.step, evaluation
+        shape = evaluation.residual.shape
         # Each copy: u, v [σ] of each pixel from its centre, and factor [DN] of the basis functions [frame, pixel].
         copies = [
             tuple(np.ascontiguousarray(np.broadcast_to(array, shape)).reshape(shape[0], -1) for array in copy)
-            for copy in model.forward.shape_response(at.conditions)
+            for copy in model.forward.shape_response(evaluation.conditions)
         ]
         u, v, _ = max(copies, key=lambda copy: float(np.sum(np.abs(copy[2]))))
         self._copies, self.strongest = copies, (u, v, np.sum([factor for _, _, factor in copies], axis=0))

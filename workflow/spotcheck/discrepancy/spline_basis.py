@@ -3,7 +3,8 @@
 The basis functions are products of cubic B-splines along u and v. The coefficient of node (row j, column i) of the
 nodes × nodes grid has the number j · nodes + i. At a pixel at (u, v) [σ from the centre] only the 4 × 4 splines of the
 nearest nodes differ from 0. Points are pixels of several frames; all arrays over points are flat. `per_step` is the
-number of nodes per σ. Points outside the grid are left out.
+number of nodes per σ. Points outside the grid are left out. The indices q and p count the splines along rows and
+columns that differ from 0 at a point.
 """
 
 import math

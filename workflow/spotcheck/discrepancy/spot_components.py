@@ -2,7 +2,8 @@
 
 Observations are ln peak of all frames, then ln σ_g of all frames [2F]. The saturated mean contains every law across
 frames. A variance component is scatter from frame to frame or from site to site; the frames of a site share the angle
-of the fibres, the declared conditions and the repeat.
+of the fibres, the declared conditions and the repeat. A `Design` has the conditions of the frames, each [frame]:
+`angle` [rad], `exposure_s`, `site`, and `order`, the position in the order of acquisition from 0 to 1.
 """
 
 from collections.abc import Mapping

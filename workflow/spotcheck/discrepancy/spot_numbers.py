@@ -1,6 +1,7 @@
 """Spot parameters of a fit with their covariance, to which laws across frames are fitted.
 
-The spot parameters of a frame are ln peak, ln σ, x and y, with the peak in DN, the width σ_g and the centre in px.
+The spot parameters of a frame are ln peak, ln σ, x and y, with the peak in DN, the width σ_g and the centre in px. A
+law makes brightness and width depend on the conditions of a frame, such as its exposure.
 """
 
 from dataclasses import dataclass

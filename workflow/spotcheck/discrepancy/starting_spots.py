@@ -1,7 +1,8 @@
 """Spots of single frames: starting values by fits.nc or by moments, and fits of single frames under a fixed model.
 
 The spot parameters of a frame are ln peak, ln σ, x and y, with the peak in DN, the width σ_g and the centre in px. A
-cell is a pair of an index on the grid of the dataset and the row of the manifest of a spot frame.
+cell is a pair of an index on the grid of the dataset and the row of the manifest of a spot frame. A law makes
+brightness and width follow the conditions of a frame, such as its exposure.
 """
 
 from collections.abc import Iterable, Sequence
@@ -91,7 +92,7 @@ def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[Cell]) -> Fra
     return _as_parameters([_spot_by_moments(frames, frame) if row is None else row for frame, row in rows], frames)
 
 
-def has_trusted_fit(fits: xr.Dataset, cells: Iterable[Cell]) -> bool:
+def has_any_trusted_fit(fits: xr.Dataset, cells: Iterable[Cell]) -> bool:
     """Return whether fits.nc has a trusted fit of any frame; parameters as in `load_spots`."""
     return any(row is not None for row in _trusted_fits(fits, cells))
 
@@ -104,6 +105,7 @@ def _trusted_fits(fits: xr.Dataset, cells: Iterable[Cell]) -> list[np.ndarray | 
     rows: list[np.ndarray | None] = []
     for index, _ in cells:
         row = values[index]
+        # `UNTRUSTED` is the set of flags of fits that must not be used, such as those that did not converge.
         is_trusted = not status[index] & store.UNTRUSTED and row[0] > 0 and row[1] > 0 and np.isfinite(row).all()
         rows.append(row if is_trusted else None)
     return rows
@@ -123,6 +125,7 @@ def _spot_by_moments(frames: FrameSet, frame: int) -> np.ndarray:
     image = np.asarray(frames.readings[frame], float)
     moments = second_moments(image)
     corner = np.array([frames.left[frame], frames.top[frame]], float)
+    # Major and minor are the D4σ widths along both axes [px].
     sigma = np.sqrt(moments.major * moments.minor) / D4SIGMA
     peak = moments.light / (2 * np.pi * sigma**2)
     if np.isfinite([peak, sigma]).all() and min(peak, sigma) > 0:

@@ -6,6 +6,7 @@ quantile k of the confidence level. The limit is where s + k e = 1. It is found 
 a clip or a blur is not linear in the strength.
 
 A distance is that of the strength from where the effect vanishes, or 1/strength if it vanishes at infinity, as a clip.
+The first parameter of an effect is its strength. A clip limits readings to a level, which is its strength.
 """
 
 from collections.abc import Callable, Sequence

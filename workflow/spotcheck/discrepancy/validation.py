@@ -1,13 +1,16 @@
 """Validation on held-out frames: how well nested models predict repeats that no earlier step has used.
 
 A site is the set of frames with the same angle, declared conditions and repeat, at several exposures. Brightness and
-width of a held-out frame come from laws across frames, which were fitted to the other repeats. Only the centre is
-fitted, one for each site; if brightness and width vary from site to site, those of each site are fitted as well, with
-their variation as a prior.
+width of a held-out frame come from laws across frames, which follow the conditions of a frame, such as its exposure.
+These were fitted to the other repeats. Only the centre is fitted, one for each site; if brightness and width vary from
+site to site, those of each site are fitted as well, with their variation as a prior.
 
 The gap is the mean over blocks of `BLOCK_PX` pixels near the spot of (Σ r)²/Σ v, with the residual r of a pixel and the
 variance v of its noise: noise alone gives 1. The score is −2 ln p of the frames, with all scatter of the model. The
 spot parameters of a frame are ln peak, ln σ, x and y.
+
+An `Evaluation` of a model has, for each pixel of a frame, the `residual` [DN] and its `weight`, 1/variance. `slopes`
+are the derivatives of the light by the spot parameters, `moments.mean_slope` is that of the mean reading by the light.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -290,6 +293,7 @@ def _compare_batch(
     # Neighbours share grains, so that the variance of a block is larger by the area that a grain correlates.
     area = correlated_area(scatter.grain_px, BLOCK_PX)
     others = area * sum_blocks(grain_variance + scatter.field_variance * light_square) + sum_blocks(gain_variance)
+    # All pixels of a block follow ln peak of the frame, and those of a row its offset.
     others += (scatter.brightness_sd * sum_blocks(slopes[0])) ** 2
     others += scatter.row_variance * BLOCK_PX * sum_blocks(evaluation.moments.mean_slope**2)
     if scatter.centre_sd:
@@ -297,10 +301,10 @@ def _compare_batch(
         share = 1 - 1 / np.bincount(model.design.site).max()
         others += share * scatter.centre_sd**2 * (sum_blocks(slopes[1]) ** 2 + sum_blocks(slopes[2]) ** 2)
     count = sum_blocks(np.ones(used.shape))
-    is_full = count > BLOCK_PX**2 / 2
+    is_used_block = count > BLOCK_PX**2 / 2
     frame = np.broadcast_to(np.arange(batch.start, batch.stop)[:, None, None], count.shape)
     arrays = (sum_blocks(residual), sum_blocks(variance - grain_variance), others, count, frame)
-    return _BlockResiduals(*(values[is_full] for values in arrays)), score
+    return _BlockResiduals(*(values[is_used_block] for values in arrays)), score
 
 
 def _score_frames(

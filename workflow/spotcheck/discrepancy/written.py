@@ -42,7 +42,7 @@ def write_verdict(
     code : str
         Digest of the code, for the provenance that `store.write_text` keeps; "" for no provenance.
     inputs : sequence of path
-        Files from which the verdict follows, for the same.
+        Files from which the verdict follows, also for the provenance; unused if `code` is "".
 
     Raises
     ------

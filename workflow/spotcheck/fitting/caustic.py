@@ -246,11 +246,11 @@ def fit_caustic(z_m: ArrayLike, radius_m: ArrayLike, stderr_m: ArrayLike, *, wav
     >>> found = spotcheck.fit_caustic(z, radius, 2e-6, wavelength_m=632.8e-9)
     >>> found
     caustic: χ² per degree of freedom 0.491, scatter 0 %
-    waist_radius    1.504e-04 ± 1.1e-06 m
-    waist_position  0.02008 ± 0.00044 m
-    divergence      1.6134e-03 ± 3.9e-06 rad
-    rayleigh_length 0.09325 ± 0.00083 m
-    m2              1.2050 ± 0.0076
+    waist_radius    150.4 ± 1.1 µm
+    waist_position  20.1 ± 0.4 mm
+    divergence      1.613 ± 0.004 mrad
+    rayleigh_length 93.2 ± 0.8 mm
+    m2              1.205 ± 0.008
     """
     z, radius = (np.atleast_1d(np.asarray(v, dtype=float)) for v in (z_m, radius_m))
     stderr = np.asarray(stderr_m, dtype=float)

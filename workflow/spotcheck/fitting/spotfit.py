@@ -117,8 +117,8 @@ def fit_spots(
     sigma_major       6.980 ± 0.015 pixel
     sigma_minor       4.977 ± 0.011 pixel
     orientation       179.91 ± 0.24 degree
-    offset           19.962 ± 0.057 DN
-    sigma_mean      5.9790 ± 0.0095 pixel
+    offset             19.96 ± 0.06 DN
+    sigma_mean        5.979 ± 0.010 pixel
     >>> print(f"{fit.sigma_major:.2f} ± {fit.sigma_major_stderr:.2f} px")
     6.98 ± 0.01 px
     """

@@ -79,7 +79,8 @@ def photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification: floa
 def pixel_mean_photons(x, y, peak_photons, sigma_x, sigma_y, correlation, magnification: float):
     """Return µ_θ,k [photons], the mean on a pixel k at (x, y), as Eq. 27 prints it.
 
-    It is µ_p,max f_θ: `peak_photons` times `photon_distribution` at the centre of the pixel, not its integral over it.
+    It is µ_p,max f_θ: `peak_photons` times `photon_distribution` at the centre of the pixel, not the integral over it
+    of Eq. 26.
     """
     # ASSUME: the light is constant during the exposure, which turns the time integral of Eq. 26 into a factor.
     return peak_photons * photon_distribution(x, y, sigma_x, sigma_y, correlation, magnification)

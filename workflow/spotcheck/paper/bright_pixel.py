@@ -14,12 +14,15 @@ parameters together: one pixel cannot determine two.
 
 import numpy as np
 
+from spotcheck.dataset.instrument import Instrument
 from spotcheck.model import propagation
 from spotcheck.model.baseline import of_instrument
 from spotcheck.paper.results import Results
 
 # p1 and p2 as printed [px] (Section 6.1).
 PRINTED_P1_PX, PRINTED_P2_PX = 2.48, 34.55
+# Printed extremes of both variances: smallest and largest (Section 6.2.7) [1 and m²].
+PRINTED_PEAK_VARIANCE, PRINTED_SIGMA_VARIANCE = (3e7, 2.65e14), (2e-18, 1.25e-16)
 # Range of exposure times [s] over which the printed extremes are reproduced, and the number of points.
 SHORTEST_S, LONGEST_S, POINTS = 1e-6, 1.0, 601
 
@@ -36,12 +39,21 @@ def relative_variances(propagation_px: np.ndarray, sigma_px: np.ndarray) -> tupl
 
 
 def variance_over_exposure(results: Results) -> tuple[np.ndarray, np.ndarray]:
-    """Return `relative_variances` [exposure] with the printed p1 and p2, at exposures that ascend from 1 µs to 1 s."""
+    """Return both `relative_variances` [exposure] with the printed p1 and p2, at exposures from 1 µs to 1 s."""
+    _, peak_variance, sigma_variance = printed_curves(results.dataset.instrument)
+    return peak_variance, sigma_variance
+
+
+def printed_curves(instrument: Instrument) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return exposures [s], ascending from 1 µs to 1 s, and both `relative_variances` [exposure] as printed.
+
+    p1 and p2 are the printed ones; `instrument` gives the laser's own width on the sensor.
+    """
     exposure_s = np.geomspace(SHORTEST_S, LONGEST_S, POINTS)
     propagation_px = propagation.beam_propagation(exposure_s, PRINTED_P1_PX, PRINTED_P2_PX)
-    # The laser's own width on the sensor.
-    laser_px = of_instrument(results.dataset.instrument, exposure_s).laser_px
-    return relative_variances(propagation_px, propagation.spot_sigma(propagation_px, laser_px))
+    laser_px = of_instrument(instrument, exposure_s).laser_px
+    sigma_px = propagation.spot_sigma(propagation_px, laser_px)
+    return (exposure_s, *relative_variances(propagation_px, sigma_px))
 
 
 def variance_peak_ratio(results: Results) -> float:

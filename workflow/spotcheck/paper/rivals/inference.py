@@ -1,11 +1,11 @@
 """Fit of a world to summaries by an emulator, and the predictive score of held-out summaries.
 
-A realisation costs a second, so that summaries are emulated: each, or its logarithm, is a quadratic function of the
-parameters, with a covariance that is that of realisations. The emulator is refined twice around its optimum.
+A realisation costs a second, so that summaries are emulated: the logarithm of each is a quadratic function of the
+parameters, with the covariance of realisations. The emulator is refined twice around its optimum.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, stats
@@ -14,8 +14,9 @@ from scipy.stats import qmc
 from spotcheck.paper.rivals.summaries import IS_FITTED, IS_SCORED, SUMMARIES
 from spotcheck.paper.rivals.worlds import World
 
-# Summaries that can be negative are emulated as they are, all others by their logarithm.
-PLAIN = np.array([summary.name in ("p1", "p2") for summary in SUMMARIES])
+# No world is exact: each logarithm of a summary may be off by this much, in the same way for all worlds.
+# ASSUME: 10 %, independently for each summary.
+DISCREPANCY = 0.1
 # Rounds of the emulator: realisations, and half the side of the box in which they lie, as a part of the range.
 ROUNDS = ((160, 0.5), (120, 0.25), (120, 0.125))
 # Starts of the search for the best parameters.
@@ -25,8 +26,9 @@ DECISIVE_LOG_RATIO = float(np.log(20.0))
 # Smallest value whose logarithm is taken.
 SMALLEST = 1e-9
 
-# Draws the summaries of one realisation from parameters in the unit cube and a random generator.
-Simulator = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+# Draws the summaries [point, summary] of one realisation at each point [point, parameter] of the unit cube; the key
+# distinguishes the random numbers of several calls.
+Simulator = Callable[[np.ndarray, int], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class WorldFit:
 
 def transform(summaries: np.ndarray) -> np.ndarray:
     """Return summaries [..., summary] as the emulator has them."""
-    return np.where(PLAIN, summaries, np.log(np.maximum(summaries, SMALLEST)))
+    return np.log(np.maximum(summaries, SMALLEST))
 
 
 def expand_quadratic(points: np.ndarray) -> np.ndarray:
@@ -67,8 +69,8 @@ def expand_quadratic(points: np.ndarray) -> np.ndarray:
     return np.concatenate([np.ones((*points.shape[:-1], 1)), points, points[..., rows] * points[..., columns]], axis=-1)
 
 
-def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed: int) -> tuple[Emulator, int]:
-    """Return the emulator of a world around its best parameters for observed summaries, and its realisations.
+def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed: tuple[int, ...]) -> Emulator:
+    """Return the emulator of a world around its best parameters for observed summaries [summary].
 
     Realisations whose summaries are not finite, such as those without a spot, are left out.
     """
@@ -76,16 +78,26 @@ def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed
     centre, points, summaries = np.full(size, 0.5), np.empty((0, size)), np.empty((0, len(SUMMARIES)))
     emulator = None
     for number, (count, half) in enumerate(ROUNDS):
-        cube = qmc.Sobol(size, rng=np.random.default_rng([seed, number])).random(count)
+        cube = qmc.LatinHypercube(size, rng=np.random.default_rng([*seed, number])).random(count)
         low, high = np.maximum(centre - half, 0), np.minimum(centre + half, 1)
         drawn = low + (high - low) * cube
-        results = [simulate(point, np.random.default_rng([seed, number, k])) for k, point in enumerate(drawn)]
-        points, summaries = np.concatenate([points, drawn]), np.concatenate([summaries, np.array(results)])
+        points, summaries = np.concatenate([points, drawn]), np.concatenate([summaries, simulate(drawn, number)])
         is_near = np.isfinite(summaries).all(axis=1) & (np.abs(points - centre) <= 1.5 * half).all(axis=1)
         emulator = _fit_emulator(points[is_near], transform(summaries[is_near]), centre, half)
         centre = fit_world(emulator, observed).point
     assert emulator is not None
-    return emulator, len(points)
+    return emulator
+
+
+def describe_at_point(emulator: Emulator, point: np.ndarray, realisations: np.ndarray) -> Emulator:
+    """Return an emulator with the mean and the covariance of realisations [realisation, summary] at a point.
+
+    Its slopes are those of the given emulator.
+    """
+    values = transform(realisations)
+    coefficients = emulator.coefficients.copy()
+    coefficients[0] += values.mean(axis=0) - emulator.mean(point)
+    return replace(emulator, coefficients=coefficients, covariance=_add_discrepancy(np.cov(values, rowvar=False)))
 
 
 def _fit_emulator(points: np.ndarray, values: np.ndarray, centre: np.ndarray, half: float) -> Emulator:
@@ -95,31 +107,41 @@ def _fit_emulator(points: np.ndarray, values: np.ndarray, centre: np.ndarray, ha
     coefficients, *_ = np.linalg.lstsq(terms, values, rcond=None)
     residuals = values - terms @ coefficients
     freedom = max(len(points) - terms.shape[1], 1)
-    return Emulator(centre, halves, coefficients, residuals.T @ residuals / freedom)
+    return Emulator(centre, halves, coefficients, _add_discrepancy(residuals.T @ residuals / freedom))
+
+
+def _add_discrepancy(covariance: np.ndarray) -> np.ndarray:
+    """Return a covariance of logarithms [summary, summary] with that of `DISCREPANCY` added."""
+    return covariance + DISCREPANCY**2 * np.eye(len(covariance))
 
 
 def fit_world(emulator: Emulator, observed: np.ndarray) -> WorldFit:
-    """Return the parameters of least χ² of the fitted summaries, and the score of the others.
-
-    The score is the logarithm of the normal density of the held-out summaries, given the fitted ones.
-    """
-    data, covariance = transform(observed), emulator.covariance
-    of_fitted = np.linalg.inv(covariance[np.ix_(IS_FITTED, IS_FITTED)])
-
-    def chi2(point: np.ndarray) -> float:
-        residual = (data - emulator.mean(point))[IS_FITTED]
-        return float(residual @ of_fitted @ residual)
-
+    """Return the parameters of least χ² of the fitted summaries, and the score of the others."""
     box = emulator.bounds()
     starts = qmc.Sobol(len(box.lb), rng=np.random.default_rng(0)).random(STARTS)
-    results = [optimize.minimize(chi2, box.lb + (box.ub - box.lb) * start, bounds=box) for start in starts]
+    results = [
+        optimize.minimize(
+            lambda point: chi2_of_fitted(emulator, observed, point), box.lb + (box.ub - box.lb) * start, bounds=box
+        )
+        for start in starts
+    ]
     best = min(results, key=lambda result: result.fun)
-    residual = data - emulator.mean(best.x)
-    slope = covariance[np.ix_(IS_SCORED, IS_FITTED)] @ of_fitted
+    return WorldFit(best.x, float(best.fun), score_held_out(emulator, observed, best.x))
+
+
+def chi2_of_fitted(emulator: Emulator, observed: np.ndarray, point: np.ndarray) -> float:
+    """Return χ² of the fitted ones among observed summaries [summary], at a point [parameter] of the unit cube."""
+    residual = (transform(observed) - emulator.mean(point))[IS_FITTED]
+    return float(residual @ np.linalg.solve(emulator.covariance[np.ix_(IS_FITTED, IS_FITTED)], residual))
+
+
+def score_held_out(emulator: Emulator, observed: np.ndarray, point: np.ndarray) -> float:
+    """Return ln of the normal density of the held-out summaries, given the fitted ones; arguments as above."""
+    residual = transform(observed) - emulator.mean(point)
+    covariance = emulator.covariance
+    slope = np.linalg.solve(covariance[np.ix_(IS_FITTED, IS_FITTED)], covariance[np.ix_(IS_FITTED, IS_SCORED)]).T
     conditional = covariance[np.ix_(IS_SCORED, IS_SCORED)] - slope @ covariance[np.ix_(IS_FITTED, IS_SCORED)]
-    predicted_residual = residual[IS_SCORED] - slope @ residual[IS_FITTED]
-    score = stats.multivariate_normal(cov=conditional).logpdf(predicted_residual)
-    return WorldFit(best.x, float(best.fun), float(score))
+    return float(stats.multivariate_normal(cov=conditional).logpdf(residual[IS_SCORED] - slope @ residual[IS_FITTED]))
 
 
 def choose_world(scores: dict[str, float]) -> str | None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.constants import c, h
 
 from spotcheck.model import propagation, spot
 
@@ -20,6 +21,9 @@ GAIN_DN_PER_E, READ_NOISE_E, FULL_SCALE_DN = 0.11, 13.0, 1023
 LASER_PX = 1.188
 # Highest spatial frequency of the field behind the lens, 1/(2 λ f_a (1 + M)) [cycles per px] (Section 3.1.2).
 FIELD_CUTOFF = 0.3205
+# Signal [DN] of the whole spot at the longest exposure if the material were Lambertian with 2 % reflectance: 1 mW of
+# 650 nm for 900 µs, times (f/(2 f_a d_w))² = 8.33e-5, the filter's 0.9193, the quantum efficiency 0.38 and the gain.
+LAMBERTIAN_DN = 1e-3 * LONGEST_S * 6.5e-7 / (h * c) * 0.02 * 8.33e-5 * 0.9193 * 0.38 * GAIN_DN_PER_E
 # Speckle is computed on a grid this much finer than the pixels, since its intensity has twice the field's bandwidth.
 OVERSAMPLING = 2
 
@@ -61,9 +65,16 @@ class World:
         return values
 
     def draw(
-        self, values: Values, rng: np.random.Generator, exposures_s: tuple[float, ...] = EXPOSURES_S
+        self,
+        values: Values,
+        rng: np.random.Generator,
+        exposures_s: tuple[float, ...] = EXPOSURES_S,
+        transmission: float = 1.0,
     ) -> np.ndarray:
-        """Return the readings [site, exposure, y, x] in DN of one realisation of the experiment."""
+        """Return the readings [site, exposure, y, x] in DN of one realisation of the experiment.
+
+        `transmission` is that of a filter in front of the lens [1].
+        """
         readings = np.empty((SITES, len(exposures_s), SIDE, SIDE))
         for site in range(SITES):
             brightness = np.exp(values["brightness_sd"] * rng.standard_normal())
@@ -73,11 +84,21 @@ class World:
             radius = np.hypot(pixels[None, :] - x0, pixels[:, None] - y0)
             modulation = 1 + values["contrast"] * (draw_speckle(rng) - 1)
             for k, exposure_s in enumerate(exposures_s):
-                light_dn = brightness * self.light(radius, exposure_s, values, width_factor) * modulation
+                light_dn = transmission * brightness * self.light(radius, exposure_s, values, width_factor) * modulation
                 electrons = self.limit(rng.poisson(light_dn / GAIN_DN_PER_E), values, rng)
                 analogue = GAIN_DN_PER_E * (electrons + READ_NOISE_E * rng.standard_normal(radius.shape))
                 readings[site, k] = np.clip(np.rint(analogue), 0, FULL_SCALE_DN)
         return readings
+
+
+def photon_gain(world: World, values: Values) -> float:
+    """Return the light of the spot at the longest exposure over that of a Lambertian surface of 2 % reflectance [1].
+
+    The paper's chain without ϱ_s and with the solid angle of the lens in place of 1/f_a² gives `LAMBERTIAN_DN` in all.
+    """
+    pixels = np.arange(SIDE) - SIDE / 2
+    radius = np.hypot(pixels[None, :], pixels[:, None])
+    return float(world.light(radius, LONGEST_S, values, 1.0).sum() / LAMBERTIAN_DN)
 
 
 def draw_speckle(rng: np.random.Generator) -> np.ndarray:

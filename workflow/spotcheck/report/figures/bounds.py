@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.io.number_text import two_digits
+from spotcheck.paper.bright_pixel import PRINTED_PEAK_VARIANCE, PRINTED_SIGMA_VARIANCE, printed_curves
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
@@ -31,6 +32,18 @@ LOOKS = {
 }
 
 
+# Dashes of the paper's curves.
+PAPER_DASHES = (0, (6, 1.5, 1.2, 1.5))
+
+
+class PaperCurves(NamedTuple):
+    """Variances as the paper seems to have computed them, scaled to its largest printed values."""
+
+    times: np.ndarray  # exposure times [point], in the unit of the abscissa
+    peak: np.ndarray  # variance of the photons on the brightest pixel [point]
+    sigma: np.ndarray  # variance of the width [point] in m²
+
+
 class Abscissa(NamedTuple):
     """Abscissa of the bounds."""
 
@@ -46,7 +59,14 @@ def draw_over_exposure(results: Results) -> style.Drawing:
     factor, unit = style.choose_unit(results.exposures(), "s")
     label = style.axis_label("exposure time $t$", unit)
     x = Abscissa("exposure", ds["fine_exposure"].values * factor, results.exposures() * factor, label)
-    return _draw_bounds(results, ds, x, fixed="along the calibrated p1 and p2", marked="exposure times")
+    paper = None
+    if results.has_paper_design():
+        times, *variances = printed_curves(results.instrument)
+        printed = (PRINTED_PEAK_VARIANCE, PRINTED_SIGMA_VARIANCE)
+        paper = PaperCurves(
+            times * factor, *(v / v.max() * ends[1] for v, ends in zip(variances, printed, strict=True))
+        )
+    return _draw_bounds(results, ds, x, fixed="along the calibrated p1 and p2", marked="exposure times", paper=paper)
 
 
 def draw_over_photons(results: Results) -> style.Drawing:
@@ -59,7 +79,9 @@ def draw_over_photons(results: Results) -> style.Drawing:
     return _draw_bounds(results, ds, x, fixed=fixed, marked=marked)
 
 
-def _draw_bounds(results: Results, ds: xr.Dataset, x: Abscissa, *, fixed: str, marked: str) -> style.Drawing:
+def _draw_bounds(
+    results: Results, ds: xr.Dataset, x: Abscissa, *, fixed: str, marked: str, paper: PaperCurves | None = None
+) -> style.Drawing:
     """Draw the bounds of peak and width over `x`; `ds` is the content of bounds.nc.
 
     `fixed` and `marked` are parts of the caption: the law or width that is held fixed, and the meaning of the marks.
@@ -87,19 +109,32 @@ def _draw_bounds(results: Results, ds: xr.Dataset, x: Abscissa, *, fixed: str, m
             ax.plot(x.values, bound, color=look.colour, linestyle=look.dashes, linewidth=1.6)[0]
             for bound, look in zip(values.T, looks, strict=True)
         ]
+        if paper is not None:
+            curve = paper.peak if parameter == "peak" else paper.sigma
+            handles += ax.plot(paper.times, curve, color=style.ACCENT, linestyle=PAPER_DASHES, linewidth=1.6)
+            values = np.append(values.ravel(), curve)
         ax.set(xscale="log", yscale="log", xlabel=x.label)
         # Whole decades, since an axis of less than one has many long numbers: 2 · 10⁻¹⁶, 3 · 10⁻¹⁶, …
         finite = values[np.isfinite(values) & (values > 0)]
         ax.set_ylim(10 ** np.floor(np.log10(finite.min())), 10 ** np.ceil(np.log10(finite.max())))
     panels[0].set_ylabel("bound Var($\\mu_{p,max}$) / photons²")
     panels[1].set_ylabel(f"bound Var($\\sigma_g$) / {unit}")
-    style.add_legend(figure, handles, [look.label for look in looks], 3)
+    labels = [look.label for look in looks] + (["the paper's, brightest pixel"] if paper is not None else [])
+    style.add_legend(figure, handles, labels, min(len(labels), 2 if paper is not None else 3))
     law_text = "; ".join(f"{LOOKS[law].style_name}: {ds.attrs[f'law_{law}']}" for law in laws)
     caption = (
         f"Smallest variance that an unbiased estimate of one frame can have, {fixed}: photons on the brightest pixel"
         f" (left) and width σ_g on the sensor (right). Grey bars: the dataset's {marked}. {law_text}. In electrons the"
         f" left bound runs from {ranges[0]} photons², the right one from {ranges[1]} {unit}."
     )
+    if paper is not None:
+        caption += (
+            " Green, dash-dotted: what the paper seems to have drawn, from its printed p1 and p2 in px: the information"
+            " of the brightest pixel alone, for one parameter at a time, with a number of photons that follows p_b²"
+            " (Eqs. 13, 28, 36). Between 1 µs and 1 s it spans factors of 8.5 · 10⁶ and 60.5, in print 8.8 · 10⁶ and"
+            " 62.5; its scale, which does not follow from the print, is set to the printed largest values. It is no"
+            " bound for both parameters: the bounds in electrons, of all pixels, are."
+        )
     note = "In print: 3 · 10⁷ to 2.65 · 10¹⁴ for the photons, 2 · 10⁻¹⁸ to 1.25 · 10⁻¹⁶ m² for the width."
     return style.Drawing(figure, caption + results.paper_note(note))
 

@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import spotcheck
 from spotcheck.errors import InputError
 from spotcheck.io.provenance import PACKAGE
 from spotcheck.io.schema import read_yaml
@@ -25,6 +26,11 @@ class Citation(NamedTuple):
 
     where: str  # dotted name of the function or class
     sentence: str  # first paragraph of its docstring, in one line
+
+    @property
+    def name(self) -> str:
+        """The name of the function or class without its module."""
+        return self.where.rpartition(".")[2]
 
 
 def find_equations(text: str) -> set[int]:
@@ -61,6 +67,19 @@ def collect_citations(root: Path, prefix: str = "", only_functions: str = "") ->
     return citations
 
 
+def find_used_names(root: Path) -> set[str]:
+    """Return all names and attributes that the code of Python files in a folder reads.
+
+    A function whose name is not among them is called by tests or users alone.
+    """
+    return {
+        node.id if isinstance(node, ast.Name) else node.attr
+        for path in root.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load)
+    }
+
+
 def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
     """Write equations.html, with the functions and tests of each equation, and symbols.html.
 
@@ -88,6 +107,9 @@ def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
                 " docstring cites it"
             )
     rows = [(number, functions[number], test_functions[number]) for number in EQUATIONS]
-    write_page(folder / "equations.html", "equations.html", title="Equation → function → test", rows=rows)
+    # Functions of the package `paper` are called by the ids of data/published.yaml.
+    of_paper = {citation.name for cited in functions.values() for citation in cited if ".paper." in citation.where}
+    content = {"rows": rows, "used_names": find_used_names(PACKAGE) | of_paper | set(spotcheck.__all__)}
+    write_page(folder / "equations.html", "equations.html", title="Equation → function → test", **content)
     title = "Symbol → name in code → unit → equation"
     write_page(folder / "symbols.html", "symbols.html", title=title, rows=read_yaml(symbols))

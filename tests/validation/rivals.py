@@ -1,0 +1,114 @@
+"""Rival worlds of the paper's frames: fit, score, recovery and predictions, stored in data/rival_worlds.json.
+
+`python -m tests.validation.rivals [--realisations 200] [--sets 20] [--seed 1]`, about an hour of one core for each
+world. The seed is that of all random numbers and is not searched. Worlds that are done are kept.
+"""
+
+import argparse
+import json
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from spotcheck.paper.rivals import inference, predictions, summaries, worlds
+from tests.samples.small_datasets import ROOT
+
+STORED = ROOT / "data" / "rival_worlds.json"
+# Keys of the random numbers of realisations, predictions and of the sets for the recovery.
+REALISATIONS, PREDICTIONS, SETS = 100, 101, 102
+
+
+def main() -> None:
+    """Fit every world, then classify simulated sets of each."""
+    parser = argparse.ArgumentParser(prog="python -m tests.validation.rivals", description=__doc__)
+    parser.add_argument("--realisations", type=int, default=200, help="of each world at its best parameters")
+    parser.add_argument("--sets", type=int, default=20, help="simulated sets of each world for the recovery")
+    parser.add_argument("--seed", type=int, default=1, help="of all random numbers")
+    parser.add_argument("--output", type=Path, default=STORED, help="rival_worlds.json to write")
+    args = parser.parse_args()
+    emulators, fitted = {}, {}
+    with ProcessPoolExecutor(2) as pool:
+        for world in worlds.WORLDS:
+            emulators[world.name], fitted[world.name] = fit_world(world, args, pool)
+            print(f"{world.name}: log score {fitted[world.name]['log_score']:.1f}", flush=True)
+        sets = {world.name: draw_sets(world, fitted[world.name]["point"], args, pool) for world in worlds.WORLDS}
+    recovery = {name: classify(drawn, emulators) for name, drawn in sets.items()}
+    predicted = [
+        [predictions.Prediction(**row) for row in fitted[world.name]["predictions"]] for world in worlds.WORLDS
+    ]
+    scores = {name: result["log_score"] for name, result in fitted.items()}
+    content = {
+        "seed": args.seed,
+        "summaries": [asdict(summary) for summary in summaries.SUMMARIES],
+        "worlds": fitted,
+        "preferred": inference.choose_world(scores),
+        "recovery": recovery,
+        "frames_to_separate": predictions.list_separations(predicted),
+    }
+    args.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def simulate(world: worlds.World, point: np.ndarray, seed: tuple[int, ...]) -> np.ndarray:
+    """Return the summaries of one realisation of a world at a point of the unit cube."""
+    readings = world.draw(world.values(point), np.random.default_rng(seed))
+    return summaries.summarise_readings(readings)
+
+
+def fit_world(
+    world: worlds.World, args: argparse.Namespace, pool: ProcessPoolExecutor
+) -> tuple[inference.Emulator, dict[str, Any]]:
+    """Return the emulator of a world, and its record: parameters, score, p-values and predictions."""
+    number = worlds.WORLDS.index(world)
+
+    def draw(points: np.ndarray, key: int) -> np.ndarray:
+        """Return the summaries of one realisation at each point [point, summary]."""
+        seeds = [(args.seed, number, key, k) for k in range(len(points))]
+        return np.array(list(pool.map(partial(simulate, world), points, seeds, chunksize=4)))
+
+    emulator = inference.build_emulator(world, draw, summaries.PRINTED, (args.seed, number))
+    best = inference.fit_world(emulator, summaries.PRINTED)
+    realisations = draw(np.tile(best.point, (args.realisations, 1)), REALISATIONS)
+    realisations = realisations[np.isfinite(realisations).all(axis=1)]
+    at_best = inference.describe_at_point(emulator, best.point, realisations)
+    values = world.values(best.point)
+    rows = predictions.predict(world, values, np.random.default_rng((args.seed, number, PREDICTIONS)))
+    record = {
+        "title": world.title,
+        "point": best.point.tolist(),
+        "values": values,
+        "units": {parameter.name: parameter.unit for parameter in world.parameters},
+        "chi2_fitted": inference.chi2_of_fitted(at_best, summaries.PRINTED, best.point),
+        "log_score": inference.score_held_out(at_best, summaries.PRINTED, best.point),
+        "mean": realisations.mean(axis=0).tolist(),
+        "sd": realisations.std(axis=0, ddof=1).tolist(),
+        "p_values": inference.p_values(realisations, summaries.PRINTED).tolist(),
+        "photon_gain": worlds.photon_gain(world, values),
+        "predictions": [asdict(row) for row in rows],
+    }
+    return emulator, record
+
+
+def draw_sets(
+    world: worlds.World, point: list[float], args: argparse.Namespace, pool: ProcessPoolExecutor
+) -> np.ndarray:
+    """Return the summaries of simulated sets of a world at its best parameters [set, summary]."""
+    number = worlds.WORLDS.index(world)
+    seeds = [(args.seed, number, SETS, k) for k in range(args.sets)]
+    return np.array(list(pool.map(partial(simulate, world), [np.array(point)] * args.sets, seeds)))
+
+
+def classify(sets: np.ndarray, emulators: dict[str, inference.Emulator]) -> dict[str, int]:
+    """Return how many sets each world is chosen for, and for how many none is ("cannot tell")."""
+    counts = dict.fromkeys([*emulators, "cannot tell"], 0)
+    for observed in sets:
+        scores = {name: inference.fit_world(emulator, observed).log_score for name, emulator in emulators.items()}
+        counts[inference.choose_world(scores) or "cannot tell"] += 1
+    return counts
+
+
+if __name__ == "__main__":
+    main()
