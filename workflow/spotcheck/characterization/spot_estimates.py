@@ -46,6 +46,7 @@ class SpotEstimates:
     saturation: tuple[float, float] | None  # level over black and standard error [DN]; None if spots do not saturate
     saturated_variance: float  # temporal variance of a saturated pixel [DN²]; NaN without pairs
     zero_level_dn: float  # level from which light was counted [DN]: black level, or median of the rims of all frames
+    lowest_zero_level_dn: float  # lowest level from which light was counted in a frame [DN]
 
     @property
     def is_noise_lost(self) -> bool:
@@ -117,6 +118,7 @@ def estimate_from_spots(
         saturation=find_common_saturation(saturations),
         saturated_variance=float(saturated_sums[1] / saturated_sums[0]) if saturated_sums[0] else np.nan,
         zero_level_dn=zero_level,
+        lowest_zero_level_dn=min(zero_levels, default=zero_level),
     )
 
 
