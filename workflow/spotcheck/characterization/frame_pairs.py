@@ -134,7 +134,9 @@ def tally_differences(first: np.ndarray, second: np.ndarray, black_dn: float, fu
     around_first, around_second = _average_around(first), _average_around(second)
     # A minimum, since grain makes pixels darker than their surroundings.
     darkest = minimum_filter(np.minimum(around_first, around_second), 3) + black_dn
+    # The gradient has the slopes of the light down and to the right [DN/px].
     images = (first, second, around_first, around_second, darkest, *np.gradient(first))
+    # [image, block row, block column, pixel], and a mask [block row, block column].
     blocks = np.stack([_cut_blocks(image) for image in images])
     is_used = np.isfinite(blocks).all(axis=(0, 3)) & (blocks[:2].max(axis=(0, 3)) + black_dn < full_scale_dn)
     # From here on, arrays are [block, pixel] of the used blocks.
@@ -148,11 +150,12 @@ def tally_differences(first: np.ndarray, second: np.ndarray, black_dn: float, fu
     residual = _remove_motion(residual, motion_effects @ WITHOUT_QUADRATIC)
 
     def combine_levels(level_1: np.ndarray, level_2: np.ndarray) -> np.ndarray:
-        """Return the level L of the module's docstring [DN] from the levels in both images."""
+        """Return the level L = (S₂ + r² S₁)/(1 + r²) [DN] from the levels S₁ and S₂ in the two images."""
         return (level_2 + ratio**2 * level_1) / (1 + ratio**2)
 
     # The projection mixes the noise of all pixels of a block, so the level is mixed in the same way.
     level = combine_levels(y1, y2) @ WITHOUT_QUADRATIC**2 / REMAINING_VARIANCE
+    # Divided so that the mean of the squares is the variance of a single pixel.
     square, product = (
         array / REMAINING_VARIANCE / (1 + ratio**2) for array in (residual**2, _multiply_by_neighbours(residual))
     )

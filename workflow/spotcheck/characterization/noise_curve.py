@@ -261,8 +261,9 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
 def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseCorrelation:
     """Return how far the noise of an image [rows, columns] in DN is correlated, as by compression or fine grain.
 
-    Neighbouring differences of white noise have the correlation −1/2, more distant ones 0. With too few pixels the
-    noise counts as white. `full_scale_dn` is the largest possible reading [DN].
+    Neighbouring differences of white noise have the correlation `WHITE_CORRELATION`, more distant ones 0. The lag is
+    the distance [px] of two differences along a column or a row. With too few pixels the noise counts as white.
+    `full_scale_dn` is the largest possible reading [DN].
     """
     differences = compute_differences(image)
     # Differences relative to the noise of their level; NaN in clipped levels and for outliers.

@@ -77,6 +77,7 @@ def find_outlier_pixels(image: np.ndarray, sensor: SensorModel) -> OutlierPixels
         lowest = [-_find_neighbour_maximum(np.where(is_known, -light, -np.inf), axis, width) for axis in (0, 1)]
         for in_line, high, low in zip((in_column, in_row), highest, lowest, strict=True):
             in_line |= light > max_ratio * np.maximum(high, 0.0) + margin
+            # Too dark: below the smallest neighbour over the largest ratio, or below that neighbour if it is negative.
             in_line |= light < np.where(low > 0, low / max_ratio, low) - margin
         # A single pixel is dark if it is below all neighbours by their own range, which is unknown at full scale.
         high, low = np.maximum(*highest), np.minimum(*lowest)

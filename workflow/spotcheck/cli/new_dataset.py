@@ -54,6 +54,7 @@ def run(args: argparse.Namespace) -> None:
     # Raises `InputError` if a file exists.
     template.check_absent(folder)
     colour = Colour(*(answers.get(key) for key in COLOUR_KEYS))
+    # Frames of the folder, files that are neither images nor metadata, and a message for each unreadable image.
     scan = scan_folder(folder, colour) if folder.is_dir() else FolderScan((), (), ())
     if scan.errors and not scan.frames:
         hint = ", such as by --set sensor.channel=red" if COLOUR_KEYS[0] in scan.errors[0] else ""
@@ -119,7 +120,7 @@ def _list_missing_keys(draft: ManifestDraft) -> Iterator[str]:
     """Yield the columns of the manifest and keys of the instrument file that these frames need and no file states."""
     # Columns for which files state values that cannot be used, since a unit is missing or sources disagree.
     unclear_columns = {record.column for record in draft.unused} | {conflict.column for conflict in draft.conflicts}
-    # The exposure is asked for only if all rows lack it.
+    # `missing` has the files without a value by column. The exposure is asked for only if all rows lack it.
     if len(draft.missing["exposure_s"]) == len(draft.rows) and "exposure_s" not in unclear_columns:
         yield "exposure_s"
     if POSITION in unclear_columns and POSITION not in draft.columns:

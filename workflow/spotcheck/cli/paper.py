@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Check every number, write table, page and summary, and print how many numbers hold.
 
-    Numbers that are declared to hold but are outside their tolerance are printed. With --strict they end the process
-    with status 1.
+    Numbers that are declared to hold but are outside their tolerance (`low` to `high`) are printed. With --strict they
+    end the process with status 1.
     """
     results = Results(folder.load(args.dataset), args.results)
     checks = number_checks.check_numbers(read_yaml(args.numbers), results)

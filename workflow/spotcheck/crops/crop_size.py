@@ -37,7 +37,7 @@ class CropProposal(NamedTuple):
 
 
 def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOCHROME) -> CropProposal:
-    """Return the crop size for the widest spot in a sample of the spot frames of a folder.
+    """Return the side of a crop for the widest spot in a sample of the spot frames of a folder.
 
     Parameters
     ----------

@@ -108,15 +108,17 @@ def find_full_scale(extremes: Sequence[ReadingExtremes], instrument: Instrument,
         return FullScale(stated, "instrument.yaml", (*remarks, too_low) if highest > stated else remarks)
     # Frames that show a plateau at the highest reading of the dataset.
     lowest = min((frame.lowest for frame in extremes), default=0)
-    clipped = [frame for frame in extremes if frame.highest == highest and frame.has_plateau(lowest)]
+    clipped_frames = [frame for frame in extremes if frame.highest == highest and frame.has_plateau(lowest)]
     converter_source = "bits of the converter"
-    if not clipped or highest == range_end:
+    if not clipped_frames or highest == range_end:
         container_source = f"container of {container_bits} bit (sensor.bit_depth is missing)"
         return FullScale(range_end, converter_source if depth else container_source, remarks)
-    stops = f"{len(clipped)} frames stop" if len(clipped) > 1 else "1 frame stops"
+    # Phrases for sources and remarks.
+    stops = f"{len(clipped_frames)} frames stop" if len(clipped_frames) > 1 else "1 frame stops"
     if depth and highest > END_OF_RANGE * range_end:
         return FullScale(highest, f"{FROM_FRAMES} {stops}, within 1 % of sensor.bit_depth {depth}", remarks)
-    stops_at = f"{stops} at exactly {highest} DN, up to {max(frame.at_highest for frame in clipped)} pixels of one"
+    most_pixels = max(frame.at_highest for frame in clipped_frames)
+    stops_at = f"{stops} at exactly {highest} DN, up to {most_pixels} pixels of one"
     # The plateau is far from the end of the stated range, or no range is stated.
     proposal = _propose_bit_depth(highest, bits)
     if depth is None:
@@ -152,9 +154,9 @@ def _propose_bit_depth(highest: int, bits: int) -> str:
 def _check_alignment(highest: int, bits: int, instrument: Instrument) -> tuple[str, ...]:
     """Return a remark if all readings are multiples of a step above 1 and the highest is `MIN_STEPS` steps or more.
 
-    The bits of the converter are then the upper ones of the stored pixel, and
-    rounding noise is larger than assumed. `highest` [DN] and `bits` (bitwise OR) are those of readings after the shift
-    by `sensor.value_shift_bits`. The result is an empty tuple otherwise.
+    The bits of the converter are then the upper ones of the stored pixel, and rounding noise is larger than assumed.
+    `highest` [DN] and `bits` (bitwise OR) are those of readings after the shift by `sensor.value_shift_bits`. The result
+    is an empty tuple otherwise.
     """
     step = find_reading_step(bits)
     if step == 1 or highest < MIN_STEPS * step:

@@ -54,7 +54,7 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
     side = centred.sizes["x"]
 
     def covers(starts: np.ndarray, place: int) -> np.ndarray:
-        """Return a mask [fit], True where a crop, which starts at `starts` [fit], covers the column or row `place`."""
+        """Return a mask [fit], True where a crop with the first column or row `starts` [fit] covers `place`."""
         return (starts <= place) & (place < starts + side)
 
     # No mask file, but lists of columns, rows and pixels.

@@ -141,9 +141,8 @@ def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: P
         description = _describe(dataset, frame, calibration, digest(dataset.folder / frame.path))
         _write_tiff(folder / name, corrected, description)
         condition = ["" if value is None else value for value in (frame.angle_deg, frame.exposure_s, frame.repeat)]
-        rows.append(
-            [name, frame.kind, *condition, *frame.extra.values(), frame.file, frame.page, corrected.clipped_count]
-        )
+        row = [name, frame.kind, *condition, *frame.extra.values()]
+        rows.append([*row, frame.file, frame.page, corrected.clipped_count])
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow([*REQUIRED_COLUMNS, *dataset.frames[0].extra, "source", "source_page", "clipped_px"])
