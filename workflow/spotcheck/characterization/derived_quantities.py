@@ -2,9 +2,10 @@
 
 Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
 exposure, with its mean reading [DN], temporal variance [DN²], standard errors of both, and photons per pixel. The
-signal of a flat is its mean reading less that of its dark. Symbols and section numbers are those of
-EMVA 1288 Release 4.0 Linear. Release 3.1 gives the non-uniformities DSNU and PRNU as one number each, Release 4.0
-splits them into columns, rows and pixels; both are computed.
+signal of a flat is its mean reading less that of its dark. A table has the quantities by name; `set` enters a value
+with its standard error. Symbols and section numbers are those of EMVA 1288 Release 4.0 Linear. Release 3.1 gives the
+non-uniformities DSNU and PRNU as one number each, Release 4.0 splits them into columns, rows and pixels; both are
+computed.
 """
 
 from collections.abc import Sequence

@@ -45,6 +45,8 @@ def select_levels(transfer: Transfer) -> dict[str, Level]:
 
     "dark" is the dark level with most frames; of several, that with the shortest exposure. "flat" is the flat level
     nearest to half of the signal at saturation. A key is missing if there are no darks, or no flat shows saturation.
+    `transfer` has the levels `darks` and `flats`, the `signal` of each flat over its dark [DN], and the index
+    `saturation` of the flat at saturation.
     """
     levels: dict[str, Level] = {}
     if transfer.darks:

@@ -1,8 +1,9 @@
 """Photon transfer: gain and all other quantities of EMVA 1288 from levels of flats and darks.
 
 Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
-exposure. The gain is the slope of the temporal variance of the flats over their mean, both less those of a dark. The
-analysis follows EMVA 1288 Release 4.0 Linear. Each quantity has a standard error, or the reason why it is unknown.
+exposure, with its `mean` [DN], temporal `variance` [DN²], their errors, and the number of its `frames`. The gain is the
+slope of the temporal variance of the flats over their mean, both less those of a dark. The analysis follows EMVA 1288
+Release 4.0 Linear. Each quantity has a standard error, or the reason why it is unknown.
 """
 
 from collections.abc import Sequence

@@ -2,7 +2,8 @@
 
 A value comes from the data sheet (instrument.yaml) if that gives it, otherwise from flats and darks, otherwise from the
 noise of spots. Flats are frames of uniform light, darks are frames without light. A value that no source gives, or that
-contradicts another, is unknown (NaN), and the reason is stored.
+contradicts another, is unknown (NaN), and the reason is stored. A `SourceValue` has the value of one source, its
+standard error `stderr`, its `origin` in words, and the sentence of a `contradiction`, "" if there is none.
 
 A spot's noise floor is its variance without light [DN²]. The rim of an image is its outer pixels, which the spot hardly
 reaches. The texture of the light, such as speckle, looks like noise and raises the gain that spots give.

@@ -168,6 +168,7 @@ def _flag_outliers(
     reasons = {outlier.spot: outlier.reason for outlier in outliers}
     for outlier in outliers:
         statuses[outlier.spot] |= store.flag(outlier.flag)
+    # EXCLUDED are all flags by which a frame is set aside, CLEARED_BY_KEEP those that keep = yes clears.
     # Fate of frames and its reason, such as "set aside as black: …" → labels of these frames.
     labels_by_fate: dict[str, list[str]] = {}
     for spot, frame in enumerate(dataset.spots):
@@ -189,7 +190,10 @@ def _flag_outliers(
 
 
 def is_usable(status: int | np.ndarray | xr.DataArray) -> bool:
-    """Return whether the status of one crop allows a fit and metrics; it must be a single number."""
+    """Return whether the status of one crop, a single number, allows a fit and metrics.
+
+    `store.UNUSABLE` are the flags of frames without a usable spot, such as missing, copy or dropped.
+    """
     return not int(status) & store.UNUSABLE
 
 

@@ -155,8 +155,8 @@ def _check_alignment(highest: int, bits: int, instrument: Instrument) -> tuple[s
     """Return a remark if all readings are multiples of a step above 1 and the highest is `MIN_STEPS` steps or more.
 
     The bits of the converter are then the upper ones of the stored pixel, and rounding noise is larger than assumed.
-    `highest` [DN] and `bits` (bitwise OR) are those of readings after the shift by `sensor.value_shift_bits`. The result
-    is an empty tuple otherwise.
+    `highest` [DN] and `bits` (bitwise OR) are those of readings after the shift by `sensor.value_shift_bits`. The
+    result is an empty tuple otherwise.
     """
     step = find_reading_step(bits)
     if step == 1 or highest < MIN_STEPS * step:

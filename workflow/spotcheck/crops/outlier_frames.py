@@ -106,6 +106,7 @@ def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None
     image = np.where(is_valid, crop, np.median(crop[is_valid])).astype(np.float32)
     is_border = np.ones(image.shape, bool)
     is_border[tuple(slice(1 + size // BORDER, -1 - size // BORDER) for size in image.shape)] = False
+    # Noise of a pixel [DN]; MEDIAN_DIFFERENCE is the median absolute difference of two pixels for a noise of 1.
     noise = float(np.median(np.abs(np.diff(image, axis=1)))) / MEDIAN_DIFFERENCE
     signal = median_filter_3x3(image) - np.median(image[is_border])
     rows, columns = np.nonzero((signal > max(LIT_OVER_NOISE * noise, FAINTEST_DN)) & is_valid)
@@ -116,7 +117,8 @@ def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None
     x, y = float(columns @ weights), float(rows @ weights)
     squared_radii = ((columns - x) ** 2 + (rows - y) ** 2) / 2
     variance = float(squared_radii @ weights)
-    # Noise of a sum over the light, per √pixel. Errors are propagated from pixels of equal noise.
+    # Noise of a pixel in a sum, relative to the light. Each error is this times the norm of the derivatives by the
+    # pixels, such as (r²/variance − 1)/2 for ln sigma.
     relative_noise = CORRELATED_NOISE * noise / light
     return SpotMoments(
         light=light,
@@ -250,6 +252,7 @@ def _limit_deviation(scatter: np.ndarray, errors: np.ndarray, degrees_of_freedom
     """
     if degrees_of_freedom <= 0:
         return np.full(errors.shape, np.inf)
+    # A scatter that is known from few frames has heavier tails.
     distribution = stats.t(min(TAIL_FREEDOM, MAD_EFFICIENCY * degrees_of_freedom))
     return distribution.isf(FALSE_ALARM_RATE / QUANTITIES / 2) * np.hypot(scatter, errors)
 

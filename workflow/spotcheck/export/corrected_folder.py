@@ -1,8 +1,8 @@
 """Write a folder of corrected frames: float TIFF files of two pages, electrons and their variance, and a manifest.
 
 An effect is a deviation of the frames from the baseline model that the verdict detected; its variant, called `form` in
-files, is one of several formulas for it. verdict.json holds the detected effects, and model.yaml the model that has
-them. A results folder has the results of one dataset.
+files, is one of several formulas for it. The vocabulary is the known effects by name. verdict.json holds the detected
+effects, and model.yaml the model that has them. A results folder has the results of one dataset.
 """
 
 import csv

@@ -69,7 +69,7 @@ def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]
     # Charge behind the well, times the gain [DN].
     charge_dn = distribution.charge_signal(light / gain)
     if distribution.charge_levels:
-        # Mean over pixels whose charge stops at different levels.
+        # Mean over pixels whose charge stops at different levels [DN]; the shares of the pixels sum to 1.
         charge_dn = sum(share * np.minimum(charge_dn, level) for share, level in distribution.charge_levels)
     signal = distribution.converter_signal(charge_dn) - sensor.black_level_dn
     well_slope, slope = np.gradient(charge_dn, light), np.gradient(signal, light)

@@ -8,7 +8,8 @@ instrument.yaml states. A verdict, stored in verdict.json, is the judgement of a
 deviations from the baseline model. Each has its variant (`form`), parameters, and `candidates`: itself and the effects
 that explain the frames as well. Its `levels`, which only datasets of flats and darks have, holds the gain fitted
 together with the effects. Its `light` describes the learned light shape in words, its `sheet` lists the revised sensor
-parameters. A learned light shape is the profile of the light that the frames show, in light.nc.
+parameters. The vocabulary is the known effects by name. A learned light shape is the profile of the light that the
+frames show, in light.nc.
 """
 
 import json
