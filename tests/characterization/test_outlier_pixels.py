@@ -79,7 +79,7 @@ def test_single_pixels_are_left_out():
         want[y[keep], x[keep]] = True
         found = find_outlier_pixels(pixels, QUIET)
         assert (found.mask == want).all() and not found.columns and not found.rows
-        assert found.describe().endswith(" left out: no light beside explains what is read there")
+        assert found.describe().endswith(" left out: the light of their neighbours does not explain their readings")
 
 
 def speckle(rng, grain) -> np.ndarray:

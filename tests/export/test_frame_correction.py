@@ -47,7 +47,7 @@ def test_pulls_are_standard_normal(bend, dsnu, prnu):
     effects = [applied("nonlinearity", q=bend)] if bend else []
     own = correct_frame(image, SENSOR, compute_response_curve(SENSOR, effects), maps if dsnu else None, EXPOSURE)
     pull = ((own.electrons - LIGHT) / np.sqrt(own.variance)).ravel()
-    assert own.clipped == 0 and np.isfinite(pull).all()
+    assert own.clipped_count == 0 and np.isfinite(pull).all()
     assert abs(pull.mean()) < 0.02 + 5 / np.sqrt(pull.size)
     assert pull.var() == pytest.approx(1, abs=0.01 + 5 * np.sqrt(2 / pull.size))
     assert stats.kurtosis(pull) == pytest.approx(0, abs=5 * np.sqrt(24 / pull.size) + 0.02)
@@ -63,7 +63,7 @@ def test_what_cannot_be_told_is_marked():
     ):
         own = correct_frame(image, SENSOR, compute_response_curve(SENSOR, effects))
         assert np.isnan(own.electrons[0]).tolist() == np.isnan(own.variance[0]).tolist() == [bool(m) for m in marked]
-        assert own.clipped == sum(marked) - 1
+        assert own.clipped_count == sum(marked) - 1
         assert own.electrons[0, :2] == pytest.approx([0, 400], abs=1e-6)
     well = compute_response_curve(replace(SENSOR, full_well_e=1200.0), [])
     assert np.isnan(correct_frame(image, replace(SENSOR, full_well_e=1200.0), well).electrons[0, 4])

@@ -32,13 +32,13 @@ class Characterisation(Mapping[str, Quantity]):
 
     Parameters
     ----------
-    levels : photon transfer of the flats and darks.
+    transfer : photon transfer of the flats and darks.
     title, name : title and folder name of the dataset, for the table and for transfer.nc.
 
     Attributes
     ----------
     remarks : sentences on what could not be used.
-    levels : photon transfer: the levels of flats and darks, with their signal and noise over dark.
+    levels : the photon transfer, with lists of levels in its attributes `flats` and `darks`.
 
     Examples
     --------
@@ -51,8 +51,8 @@ class Characterisation(Mapping[str, Quantity]):
     []
     """
 
-    def __init__(self, levels: Transfer, title: str, name: str) -> None:
-        self.levels, self.remarks = levels, levels.remarks
+    def __init__(self, transfer: Transfer, title: str, name: str) -> None:
+        self.levels, self.remarks = transfer, transfer.remarks
         self._title, self._name = title, name
 
     def __getitem__(self, name: str) -> Quantity:
@@ -66,8 +66,8 @@ class Characterisation(Mapping[str, Quantity]):
 
     def __repr__(self) -> str:
         """Return a table: a title, one line for each quantity, and the remarks."""
-        flats, darks = len(self.levels.flats), len(self.levels.darks)
-        lines = [f"EMVA 1288 of {self._title}: {flats} levels of light, {darks} dark levels"]
+        flat_count, dark_count = len(self.levels.flats), len(self.levels.darks)
+        lines = [f"EMVA 1288 of {self._title}: {flat_count} levels of light, {dark_count} dark levels"]
         for quantity in self.values():
             value_text = f"unknown: {quantity.why}"
             if np.isfinite(quantity.value):
@@ -138,6 +138,7 @@ def characterise_sensor(
     if not 1 <= bit_depth <= 16:
         raise ValueError(f"bit_depth: is {bit_depth!r}; it must be from 1 to 16")
     full_scale_dn = 2.0**bit_depth - 1
+    # Lists of arrays [frame, row, column], one for each level.
     flats, darks = _check_levels(bright, "bright", full_scale_dn), _check_levels(dark, "dark", full_scale_dn)
     sizes = {stack.shape[1:] for stack in (*flats, *darks)}
     if len(sizes) > 1:
@@ -155,6 +156,7 @@ def characterise_sensor(
     flat_photons = np.full(len(flats), np.nan)
     if photons is not None:
         flat_photons = _expand_to_levels(photons, len(flats), "photons", "bright")
+    # The kind, and of each level the frames, the exposure [s] and the photons.
     kinds = (("dark", darks, dark_exposures_s, [0.0] * len(darks)), ("flat", flats, flat_exposures_s, flat_photons))
     levels = [
         measure_level(stack, kind, level_exposure_s, level_photons, full_scale_dn)
@@ -168,13 +170,14 @@ def characterise_sensor(
 def characterise_dataset(folder: str | Path) -> Characterisation:
     """Characterise the sensor of a dataset folder by its flats and darks, as `characterise_sensor` does for arrays.
 
-    Frames with the same light (column `photons_per_px` of manifest.csv) and exposure form a level. Noise needs two or
-    more frames of a level; a remark counts the levels with a single frame. Copies of frames are left out.
+    Frames with the same light (column `photons_per_px` of manifest.csv) and exposure form a level; without the column,
+    those with the same exposure. Noise needs two or more frames of a level; a remark counts the levels with a single
+    frame. Copies of frames are left out, and frames with keep = no in manifest.csv.
 
     Raises
     ------
     InputError
-        The folder breaks the dataset contract, or has neither flats nor darks.
+        The folder lacks the required form (manifest.csv, instrument.yaml and frames), or has neither flats nor darks.
 
     Examples
     --------
@@ -199,7 +202,7 @@ def analyse_ingested_frames(dataset: Dataset, full_scale_dn: float) -> Transfer:
 
     Parameters
     ----------
-    dataset : dataset from which copies of frames are already excluded.
+    dataset : dataset without the frames that are copies or have keep = no, see `exclude_copies`.
     full_scale_dn : largest reading of the converter [DN].
 
     Returns

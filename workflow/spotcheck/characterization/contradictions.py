@@ -60,8 +60,8 @@ class Contradiction(NamedTuple):
     """A contradiction between values of a sensor."""
 
     sentence: str  # the values, why they contradict each other, and what to correct
-    unknown: tuple[str, ...] = ()  # names of the quantities that are unknown because of it
-    reason: str = ""  # why these are unknown, in a few words
+    affected_names: tuple[str, ...] = ()  # names of the quantities that become unknown because of it
+    reason: str = ""  # why these are unknown, in a few words; "" where `sentence` gives the reason
 
 
 class SourceValue(NamedTuple):
@@ -77,17 +77,21 @@ class SourceValue(NamedTuple):
 SourceValues = Mapping[str, SourceValue]
 
 
-def describe_long_darks(dark_s: Sequence[float], frame_s: Sequence[float], kind: str) -> str:
-    """Return a sentence that the darks are too long to give the read noise and offset of other frames; "" if not.
+def describe_long_darks(dark_exposures_s: Sequence[float], frame_exposures_s: Sequence[float], kind: str) -> str:
+    """Return a sentence that the darks last too long to give the read noise and offset of other frames; "" if not.
 
     Darks of `MIN_DARK_EXPOSURES` different exposures are never too long, since they determine the dark current.
 
     Parameters
     ----------
-    dark_s, frame_s : exposures of the darks and of the other frames [s]; NaN if unknown.
+    dark_exposures_s, frame_exposures_s : exposures of the darks and of the other frames [s], in any order and number;
+        NaN if unknown. Without a known exposure of both, nothing is compared.
     kind : name of the other frames in the sentence, such as "flats".
     """
-    darks_s, frames_s = (sorted({time_s for time_s in times if np.isfinite(time_s)}) for times in (dark_s, frame_s))
+    # Different known exposures, ascending.
+    darks_s, frames_s = (
+        sorted({t for t in exposures_s if np.isfinite(t)}) for exposures_s in (dark_exposures_s, frame_exposures_s)
+    )
     has_dark_current = len(darks_s) >= MIN_DARK_EXPOSURES
     if has_dark_current or not (darks_s and frames_s) or darks_s[0] <= MAX_EXPOSURE_RATIO * frames_s[-1]:
         return ""
@@ -107,7 +111,7 @@ def _format_range(ascending: Sequence[float]) -> str:
 def check_levels(
     levels: Sequence[Level], flats: Sequence[Level], signal: np.ndarray, efficiency: Quantity
 ) -> Iterator[Contradiction]:
-    """Yield the contradictions in exposures and photon numbers of flats and darks.
+    """Yield the contradictions in exposures and photon numbers of flats and darks, such as an efficiency above 1.
 
     Parameters
     ----------
@@ -125,7 +129,7 @@ def check_levels(
             " exposure_s; it must be photons on a pixel during the exposure"
         )
         yield Contradiction(sentence, UNKNOWN_BY_PHOTONS, "photons_per_px looks like photons a second")
-    # An efficiency of NaN compares as False.
+    # An efficiency above 1 is impossible. NaN compares as False.
     elif efficiency.value - MAX_PULL * efficiency.stderr > 1:
         sentence = (
             f"the quantum efficiency would be {quantity_text(efficiency.value, efficiency.stderr)} electrons for a"
@@ -139,7 +143,8 @@ def check_levels(
 def _are_photons_per_second(flats: Sequence[Level], signal: np.ndarray) -> bool:
     """Return whether the signal [flat] in DN follows photons × exposure much better than photons.
 
-    False if fewer than `MIN_FLATS_FOR_SPREAD` flats have photons, exposure and signal above 0.
+    The relative spread of signal/photons is compared with that of signal/(photons × exposure). False if fewer than
+    `MIN_FLATS_FOR_SPREAD` flats have photons, exposure and signal above 0.
     """
     photons, exposure_s = (np.array([getattr(flat, name) for flat in flats]) for name in ("photons", "exposure_s"))
     is_positive = (photons > 0) & (exposure_s > 0) & (signal > 0)
@@ -162,7 +167,10 @@ def differ_significantly(first: SourceValue, second: SourceValue, factor: float)
 
 
 def describe_key(instrument: Instrument, name: str) -> str:
-    """Return the start of a sentence: "FILE: sensor.NAME is VALUE", for a quantity that the data sheet gives."""
+    """Return the start of a sentence, "FILE: sensor.NAME is VALUE", for the quantity `name` that the data sheet gives.
+
+    FILE is instrument.yaml, or the instrument file that it includes.
+    """
     return f"{instrument.get_file_name(f'sensor.{name}')}: sensor.{name} is {getattr(instrument.sensor, name):g}"
 
 
@@ -187,14 +195,14 @@ def compare_sources(
         if stated is None or measured is None or not differ_significantly(stated, measured, factor):
             continue
         gain = flats.get("gain_dn_per_e") or spots.get("gain_dn_per_e")
-        # Rounding hides so small a read noise: the measured one is an upper limit, which the stated one keeps.
+        # Rounding hides a read noise up to `MAX_HIDDEN_NOISE_DN`: the measured value is an upper limit, and a smaller
+        # stated value does not contradict it.
         if name == "read_noise_e" and gain and stated.value < measured.value < MAX_HIDDEN_NOISE_DN / gain.value:
             continue
         measured_text = quantity_text(measured.value, measured.stderr)
         suggestion = _suggest_unit(name, stated, measured, gain)
         sentence = f"{describe_key(instrument, name)}, but {phrase} {measured_text}{suggestion}"
-        unknown = (name,) if name in flats and name in LIKELIHOOD_QUANTITIES else ()
-        yield Contradiction(sentence, unknown)
+        yield Contradiction(sentence, (name,) if name in flats and name in LIKELIHOOD_QUANTITIES else ())
 
 
 def _suggest_unit(name: str, stated: SourceValue, measured: SourceValue, gain: SourceValue | None) -> str:

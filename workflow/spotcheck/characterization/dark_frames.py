@@ -1,6 +1,7 @@
 """Selection of the dark frames of a dataset that contain no light.
 
 The level of a frame is its reading where the spot does not reach; the black level is the reading without any light.
+A reduced frame consists of the means of blocks, rows and columns of a whole frame [DN].
 """
 
 from collections.abc import Iterable, Sequence
@@ -10,14 +11,15 @@ import numpy as np
 
 from spotcheck.dataset.frames import ReducedFrame
 
-# A dark frame contains light if it reads more than the darkest frame by this part of full scale.
+# A dark frame contains light if it reads more than the lowest level of all frames by this part of full scale.
 MAX_STRAY_LIGHT = 1e-3
 
 
 class DarkLevels(NamedTuple):
     """Levels of the dark frames without light."""
 
-    levels: Sequence[float] = ()  # level of each dark frame without light [DN]; empty if all contain light
+    # Level of each dark frame without light [DN]; empty if all contain light or there are none.
+    levels: Sequence[float] = ()
     remark: str = ""  # sentence on the dark frames with light; "" if there are none
     darkest_dn: float = np.nan  # lowest level of all frames, spots included [DN]; NaN if there are none
 
@@ -30,8 +32,9 @@ def select_dark_levels(
 ) -> DarkLevels:
     """Return the levels of the dark frames without light.
 
-    Light only adds to a reading, so the darkest place of all frames gives an upper limit of the black level. A dark
-    frame contains light if its level or its mean exceeds this limit by more than `MAX_STRAY_LIGHT` of full scale.
+    Light only adds to a reading, so the lowest level of all frames is an upper limit of the black level. A dark frame
+    contains light if its level or its mean exceeds this limit by more than `MAX_STRAY_LIGHT` of full scale. The mean
+    also shows light in a part of the frame, which hardly changes the level.
 
     Parameters
     ----------
@@ -58,6 +61,6 @@ def select_dark_levels(
 def measure_frame_level(frame: ReducedFrame) -> float:
     """Return the level of a frame beside its spot [DN]: the lowest of the medians of its row, column and block means.
 
-    A spot and hot pixels hardly change it.
+    A spot and hot pixels hardly change it. NaN means do not count.
     """
     return float(min(np.nanmedian(values) for values in frame))

@@ -30,14 +30,14 @@ def choose_dataset_sensor(
     dataset : Dataset
         The dataset, whose dark frames are read.
     crops, table : xr.Dataset
-        Content of crops.nc and frames.nc.
+        Content of crops.nc, and of frames.nc, the table of all frames of the dataset.
     measured : mapping of str to Quantity
         Quantities of the photon transfer of flats and darks, by name; empty without flats and darks.
     """
-    light_crops = crops.sel(centring="light")
+    light_crops, grid_dims = crops.sel(centring="light"), store.grid_dims(crops)
     spot_images = (
         light_crops["image"].isel(cell).values
-        for cell in iterate_cells(light_crops, store.grid_dims(crops))
+        for cell in iterate_cells(light_crops, grid_dims)
         if is_usable(light_crops["status"].isel(cell))
     )
     # Generators: a single frame is in memory at a time.
@@ -46,12 +46,14 @@ def choose_dataset_sensor(
         for frame in dataset.frames
         if frame.kind == "dark"
     )
+    # crops.nc contains the fields of the reduced frames as variables.
     reduced_spots = (
         frames.ReducedFrame(*(crops[name].isel(cell).values for name in frames.ReducedFrame._fields))
-        for cell in iterate_cells(crops, store.grid_dims(crops))
+        for cell in iterate_cells(crops, grid_dims)
     )
     darks = select_dark_levels(reduced_darks, reduced_spots, float(table["full_scale"]))
-    pairs = {"exposures of a site": iterate_pairs(light_crops, "exposure")}
-    pairs["repeats"] = iterate_pairs(light_crops, "repeat")
+    # Pairs of frames of the same pixels, along two axes of the grid.
+    axes = {"exposures of a site": "exposure", "repeats": "repeat"}
+    pairs = {phrase: iterate_pairs(light_crops, axis) for phrase, axis in axes.items()}
     highest_dn = float(table["maximum"].max())
     return choose_sensor_values(dataset, read_full_scale(table), spot_images, darks, measured, pairs, highest_dn)

@@ -1,9 +1,11 @@
 """EMVA 1288 quantities that follow from levels of flats and darks once the gain is known.
 
 Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
-exposure. The signal of a flat is its mean reading less that of its dark. Symbols and section numbers are those of
-EMVA 1288 Release 4.0 Linear. Release 3.1 gives the non-uniformities DSNU and PRNU as one number each, Release 4.0
-splits them into columns, rows and pixels; both are computed.
+exposure, with its mean reading [DN], temporal variance [DN²], standard errors of both, and photons per pixel. The
+signal of a flat is its mean reading less that of its dark. A table has the quantities by name; `set` enters a value
+with its standard error. Symbols and section numbers are those of EMVA 1288 Release 4.0 Linear. Release 3.1 gives the
+non-uniformities DSNU and PRNU as one number each, Release 4.0 splits them into columns, rows and pixels; both are
+computed.
 """
 
 from collections.abc import Sequence
@@ -83,10 +85,9 @@ def set_dark_electrons(quantities: QuantityTable, noisy_darks: Sequence[Level]) 
     darks = [dark for dark in noisy_darks if np.isfinite(dark.exposure_s)]
     exposures_s = collect_field(darks, "exposure_s")
     if len(np.unique(exposures_s)) < MIN_POINTS:
-        names = ("dark_current", "dark_current_by_variance")
-        quantities.set_unknown(names, "fewer than three exposures of darks")
+        quantities.set_unknown(("dark_current", "dark_current_by_variance"), "fewer than three exposures of darks")
         return
-    # The mean grows by K μ_I t, the variance by K² μ_I t.
+    # In the exposure t, the mean grows by K μ_I t and the variance by K² μ_I t.
     for name, field, gain_power in (("dark_current", "mean", 1), ("dark_current_by_variance", "variance", 2)):
         line = fit_line(exposures_s, collect_field(darks, field), collect_field(darks, f"{field}_error"))
         current = line.slope / gain.value**gain_power
@@ -131,7 +132,7 @@ def _set_sensitivity(
     """Enter responsivity, quantum efficiency and sensitivity thresholds (section 8.2), see `set_light_quantities`."""
     # Dark noise in electrons with the noise of rounding, which also limits the detection of light.
     noise, noise_error = divide(quantities["dark_noise_dn"], quantities["gain"])
-    # The threshold μ is the signal that equals its noise: μ² = σ² + μ, so μ = ½ + √(σ² + ¼).
+    # The threshold μ [e-] is the signal that equals its noise: μ² = σ² + μ, so μ = ½ + √(σ² + ¼).
     root = np.sqrt(noise**2 + 0.25)
     quantities.set("threshold", 0.5 + root, noise * noise_error / root)
     photons = collect_field(flats, "photons")
@@ -191,11 +192,11 @@ def _set_linearity(quantities: QuantityTable, flats: Sequence[Level], signal: np
     """
     light = measure_light(flats)
     low, high = (part * signal[noisiest] for part in LINEARITY_RANGE)
+    # Flats after the noisiest one are saturated.
     is_used = (signal >= low) & (signal <= high) & np.isfinite(light) & (np.arange(len(signal)) <= noisiest)
     if len(np.unique(light[is_used])) < MIN_POINTS:
         names = ("linearity_error", "linearity_lowest", "linearity_highest")
-        reason = "fewer than three levels of different light between 5 and 95 % of saturation"
-        quantities.set_unknown(names, reason)
+        quantities.set_unknown(names, "fewer than three levels of different light between 5 and 95 % of saturation")
         return
     x, y = light[is_used], signal[is_used]
     slope, offset = np.polyfit(x, y, 1, w=1 / y)
@@ -224,6 +225,7 @@ def _set_nonuniformity(quantities: QuantityTable, flat: Level, signal: float, da
         dark_variance, dark_error = float(variances.mean()), single_error / np.sqrt(len(variances))
         _set_root(quantities, f"dsnu{suffix}", dark_variance / gain**2, dark_error / gain**2)
         flat_variance, flat_error = _estimate_pattern_variance(flat, field)
+        # The variance of the flat has at least the error of a single dark.
         error = float(np.sqrt(max(flat_error, single_error) ** 2 + dark_error**2))
         variance = (flat_variance - dark_variance) * to_percent_squared
         _set_root(quantities, f"prnu{suffix}", variance, error * to_percent_squared)
@@ -233,7 +235,7 @@ def _estimate_pattern_variance(level: Level, field: str) -> tuple[float, float]:
     """Return a field of the `PatternVariances` of a level [DN²] and its standard error under white noise.
 
     The error is √(2/n) (s² + v/2) for the variance s² of n columns, rows or pixels whose means have the temporal
-    variance v.
+    variance v in one frame. The total counts as a variance of pixels.
     """
     rows, columns = level.shape
     count, pixels_per_mean = {"column": (columns, rows), "row": (rows, columns)}.get(field, (rows * columns, 1))

@@ -53,6 +53,7 @@ class Quantity:
     why: str = ""  # reason why the value is unknown; "" if it is known
 
     def __str__(self) -> str:
+        """Return symbol, value, error and unit as text, or the reason why the value is unknown."""
         if not np.isfinite(self.value):
             return f"{self.symbol} is unknown: {self.why}"
         return f"{self.symbol} = {quantity_text(self.value, self.stderr, self.unit)}"

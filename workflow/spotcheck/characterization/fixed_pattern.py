@@ -45,6 +45,8 @@ def select_levels(transfer: Transfer) -> dict[str, Level]:
 
     "dark" is the dark level with most frames; of several, that with the shortest exposure. "flat" is the flat level
     nearest to half of the signal at saturation. A key is missing if there are no darks, or no flat shows saturation.
+    `transfer` has the levels `darks` and `flats`, the `signal` of each flat over its dark [DN], and the index
+    `saturation` of the flat at saturation.
     """
     levels: dict[str, Level] = {}
     if transfer.darks:
@@ -58,15 +60,16 @@ def select_levels(transfer: Transfer) -> dict[str, Level]:
 def measure_pattern(dataset: Dataset, level: Level) -> FixedPattern:
     """Return the pattern of one level from all of its frames, which are read one at a time from the dataset."""
     total = np.zeros(level.shape, np.float32)
-    for (kind, *light), level_frames in group_frames(dataset).items():
-        # Unknown exposures and photons are NaN in both.
-        if kind == level.kind and np.array_equal(light, [level.exposure_s, level.photons], equal_nan=True):
+    for (kind, *condition), level_frames in group_frames(dataset).items():
+        # A level has the exposure and the photons of its frames; unknown ones are NaN in both.
+        if kind == level.kind and np.array_equal(condition, [level.exposure_s, level.photons], equal_nan=True):
             for frame in level_frames:
                 total += frames.read_masked_image(dataset, frame).astype(np.float32)
     mean = total / level.frames
     # Bad pixels (NaN) show no pattern.
     deviation = np.nan_to_num(mean - np.nanmean(mean, dtype=float))
-    side = max(1, -(-max(deviation.shape) // MAX_SIDE))
+    # Rounded up, so that there are at most `MAX_SIDE` blocks.
+    side = -(-max(deviation.shape) // MAX_SIDE)
     noise = float(np.sqrt(max(np.nan_to_num(level.variance), 0.0) / level.frames))
     image = frames.average_blocks(deviation, side)
     return FixedPattern(image, side, compute_spectrum(deviation), compute_spectrum(deviation.T), noise)
@@ -77,7 +80,8 @@ def compute_spectrum(image: np.ndarray) -> Spectrum:
 
     It is the root of the mean power over all rows, in the unit of the image; white noise of rms s gives s at each
     frequency. If there are more than `MAX_FREQUENCIES`, the power of neighbouring frequencies is averaged, and the
-    last frequencies that do not fill a group are dropped.
+    last frequencies that do not fill a group are dropped. The mean of the image is not subtracted. A NaN makes the
+    whole spectrum NaN.
     """
     columns = image.shape[1]
     power = np.zeros(columns // 2 + 1)
@@ -85,9 +89,9 @@ def compute_spectrum(image: np.ndarray) -> Spectrum:
         power += np.abs(np.fft.rfft(row.astype(float))) ** 2
     power /= image.shape[0] * columns
     group_size = -(-len(power) // MAX_FREQUENCIES)
-    used = len(power) // group_size * group_size
+    used_count = len(power) // group_size * group_size
     frequency, power = (
-        values[:used].reshape(-1, group_size).mean(axis=1) for values in (np.fft.rfftfreq(columns), power)
+        values[:used_count].reshape(-1, group_size).mean(axis=1) for values in (np.fft.rfftfreq(columns), power)
     )
     return Spectrum(frequency, np.sqrt(power))
 

@@ -84,11 +84,12 @@ def iterate_pairs(images: xr.Dataset, axis: str) -> Iterator[tuple[np.ndarray, n
     if axis not in dims:
         return
     for cell in iterate_cells(images, tuple(dim for dim in dims if dim != axis)):
-        row = images.isel(cell)
-        usable = [index for index, status in enumerate(row["status"].values) if is_usable(status)][::-1]
+        line = images.isel(cell)
+        # Indices along the axis, from its end.
+        usable_indices = [index for index, status in enumerate(line["status"].values) if is_usable(status)][::-1]
         # Not strict: the first usable frame of an odd number has no partner.
-        for first_index, second_index in zip(usable[1::2], usable[::2], strict=False):
-            first, second = row.isel({axis: first_index}), row.isel({axis: second_index})
+        for first_index, second_index in zip(usable_indices[1::2], usable_indices[::2], strict=False):
+            first, second = line.isel({axis: first_index}), line.isel({axis: second_index})
             down, right = (int(second[name]) - int(first[name]) for name in ("top", "left"))
             yield align_images(first["image"].values, second["image"].values, down, right)
 
@@ -133,7 +134,9 @@ def tally_differences(first: np.ndarray, second: np.ndarray, black_dn: float, fu
     around_first, around_second = _average_around(first), _average_around(second)
     # A minimum, since grain makes pixels darker than their surroundings.
     darkest = minimum_filter(np.minimum(around_first, around_second), 3) + black_dn
+    # The gradient has the slopes of the light down and to the right [DN/px].
     images = (first, second, around_first, around_second, darkest, *np.gradient(first))
+    # [image, block row, block column, pixel], and a mask [block row, block column].
     blocks = np.stack([_cut_blocks(image) for image in images])
     is_used = np.isfinite(blocks).all(axis=(0, 3)) & (blocks[:2].max(axis=(0, 3)) + black_dn < full_scale_dn)
     # From here on, arrays are [block, pixel] of the used blocks.
@@ -141,16 +144,18 @@ def tally_differences(first: np.ndarray, second: np.ndarray, black_dn: float, fu
     ratio, is_scaled = (array[is_used] for array in _fit_ratio(*np.where(is_used[..., None], blocks[:2], np.nan)))
     residual = (y2 - ratio * y1) @ WITHOUT_QUADRATIC
     # The residuals of a scaled block have the sum 0, so the mean effect of a motion is removed from its slopes as well.
+    # Other blocks are not scaled: infinite light leaves their slopes as they are.
     light = np.where(is_scaled, y1.mean(axis=1), np.inf)
     motion_effects = np.stack([slope - (slope.mean(axis=1) / light)[:, None] * y1 for slope in slopes])
     residual = _remove_motion(residual, motion_effects @ WITHOUT_QUADRATIC)
 
     def combine_levels(level_1: np.ndarray, level_2: np.ndarray) -> np.ndarray:
-        """Return the level L of the module's docstring [DN] from the levels in both images."""
+        """Return the level L = (S₂ + r² S₁)/(1 + r²) [DN] from the levels S₁ and S₂ in the two images."""
         return (level_2 + ratio**2 * level_1) / (1 + ratio**2)
 
     # The projection mixes the noise of all pixels of a block, so the level is mixed in the same way.
     level = combine_levels(y1, y2) @ WITHOUT_QUADRATIC**2 / REMAINING_VARIANCE
+    # Divided so that the mean of the squares is the variance of a single pixel.
     square, product = (
         array / REMAINING_VARIANCE / (1 + ratio**2) for array in (residual**2, _multiply_by_neighbours(residual))
     )
@@ -181,9 +186,10 @@ def _fit_ratio(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.nd
     is_significant = (light_1 > MIN_LIGHT_SD * _estimate_noise(first) / SIDE) & (light_2 > 0)
     if not is_significant.any():
         return np.ones_like(first), is_significant
+    # Centres of the blocks from that of the image [px], [axis, block row, block column].
     centre = SIDE * (np.indices(light_1.shape) - np.reshape(light_1.shape, (2, 1, 1)) / 2)
     # At least two blocks for each term: with fewer, the terms would follow the noise.
-    terms = max(count for count in TERMS if count == 1 or 2 * count <= is_significant.sum())
+    term_count = max(count for count in TERMS if count == 1 or 2 * count <= is_significant.sum())
     log_ratio = np.log(light_2[is_significant] / light_1[is_significant])
     # Shot noise gives ln r an error in proportion to one over the root of the light.
     weight = np.sqrt(light_1[is_significant])
@@ -191,9 +197,9 @@ def _fit_ratio(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.nd
     centroid = np.stack([(first[is_significant] * place).mean(axis=1) / light_1[is_significant]
                          for place in (DOWN, RIGHT)])  # fmt: skip
     positions = centre[:, is_significant] + np.clip(centroid, -SIDE / 2, SIDE / 2)
-    design = evaluate_quadratic(*positions)[:terms]
+    design = evaluate_quadratic(*positions)[:term_count]
     coefficients = np.linalg.lstsq((design * weight).T, log_ratio * weight, rcond=None)[0]
-    pixel_terms = evaluate_quadratic(centre[0, ..., None] + DOWN, centre[1, ..., None] + RIGHT)[:terms]
+    pixel_terms = evaluate_quadratic(centre[0, ..., None] + DOWN, centre[1, ..., None] + RIGHT)[:term_count]
     fitted_log_ratio = np.tensordot(coefficients, pixel_terms, axes=1)
     ratio = np.exp(np.clip(fitted_log_ratio, log_ratio.min() - LOG_MARGIN, log_ratio.max() + LOG_MARGIN))
     scale = light_2[is_significant] / (ratio * first).mean(axis=2)[is_significant]
@@ -232,14 +238,14 @@ def convert_to_curve(tally: np.ndarray, black_dn: float) -> NoiseCurve:
     The curve is empty if neighbouring residuals correlate: they are then not noise of single pixels. `black_dn` is the
     black level [DN], which is added to the levels of the curve.
     """
-    # The lowest bins of reading are left out as long as their noise reaches below 0 DN.
+    # The lowest bins of reading are left out as long as their noise, times `CUT_AT_SD`, reaches below 0 DN.
     lowest_bin = 0
     while lowest_bin < len(EDGES) and EDGES[lowest_bin] <= CUT_AT_SD * _estimate_bin_noise(tally[:, lowest_bin]):
         lowest_bin += 1
     sums = tally[:, lowest_bin:].sum(axis=1)
     pixels, level, square, product = sums[:, sums[0] >= MIN_COUNT]
-    # The mean product of a pixel and two neighbours has half of the variance of the product of two pixels, which is
-    # the square of a pixel's variance.
+    # The product of two residuals of white noise has the variance v², where v is that of a pixel. The product with the
+    # mean of two neighbours has half of it, so the sum over n pixels has the standard error n v/√(2 n).
     is_correlated = product - WHITE_COVARIANCE * square > MAX_COVARIANCE_SD * square / np.sqrt(2 * pixels)
     if is_correlated.any() and is_correlated.sum() >= MAX_CORRELATED_PART * is_correlated.size:
         return NoiseCurve(*np.empty((3, 0)))
@@ -263,13 +269,17 @@ def _estimate_bin_noise(tally: np.ndarray) -> float:
 
 def _average_around(image: np.ndarray) -> np.ndarray:
     """Return the mean of the eight pixels around each pixel [rows, columns]; NaN if one of the nine is NaN."""
-    # The running sums of the filter would carry a NaN to the end of its row and column.
+    # The running sums of the filter would carry a NaN to the end of its row and column. One NaN among nine
+    # pixels gives a mean of 1/9.
     has_gap = uniform_filter(np.isnan(image).astype(float), 3, mode="nearest") > 0.5 / 9
     return (9 * np.where(has_gap, np.nan, uniform_filter(np.nan_to_num(image), 3, mode="nearest")) - image) / 8
 
 
 def _cut_blocks(image: np.ndarray) -> np.ndarray:
-    """Return the blocks of an image [block row, block column, pixel]; incomplete blocks at the border are left out."""
-    rows, columns = (size // SIDE for size in image.shape)
-    blocks = image[: rows * SIDE, : columns * SIDE].reshape(rows, SIDE, columns, SIDE)
-    return blocks.swapaxes(1, 2).reshape(rows, columns, SIDE**2)
+    """Return the blocks [block row, block column, pixel] of an image [rows, columns].
+
+    Incomplete blocks at its lower and right border are left out.
+    """
+    block_rows, block_columns = (size // SIDE for size in image.shape)
+    blocks = image[: block_rows * SIDE, : block_columns * SIDE].reshape(block_rows, SIDE, block_columns, SIDE)
+    return blocks.swapaxes(1, 2).reshape(block_rows, block_columns, SIDE**2)

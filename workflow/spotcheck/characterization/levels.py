@@ -57,7 +57,7 @@ class Level:
 def measure_levels(dataset: Dataset, full_scale_dn: float) -> list[Level]:
     """Return all levels of the flats and darks of a dataset, darks first, then by exposure and light.
 
-    The response curvature that the data sheet gives is corrected in all frames.
+    The list is empty if there are neither. The response curvature that the data sheet gives is corrected in all frames.
 
     Parameters
     ----------
@@ -92,15 +92,16 @@ def group_frames(dataset: Dataset) -> dict[tuple[str, float, float], list[Frame]
 def make_linearizing_sensor(dataset: Dataset, full_scale_dn: float) -> SensorModel:
     """Return a sensor model whose `linearize` corrects the response curvature of the data sheet.
 
-    The curvature applies above the black level. If the data sheet gives no black level, it is the mean of the first
-    dark frame. Gain and read noise of the model are placeholders.
+    The curvature applies above the black level [DN]: that of the data sheet, or the mean of the first dark frame if the
+    sheet gives none, or else its default. Gain and read noise of the model are placeholders. `full_scale_dn` is the
+    largest reading of the converter [DN].
     """
-    sensor = dataset.instrument.sensor
-    black_dn, dark = sensor.black_level_dn, next((frame for frame in dataset.frames if frame.kind == "dark"), None)
-    if sensor.response_bend and dark is not None and "sensor.black_level_dn" not in dataset.instrument.given_keys:
+    black_dn, bend = dataset.instrument.sensor.black_level_dn, dataset.instrument.sensor.response_bend
+    dark = next((frame for frame in dataset.frames if frame.kind == "dark"), None)
+    if bend and dark is not None and "sensor.black_level_dn" not in dataset.instrument.given_keys:
         black_dn = float(np.nanmean(frames.read_masked_image(dataset, dark)))
     return SensorModel(
-        1.0, 0.0, black_level_dn=black_dn, full_scale_dn=full_scale_dn, response_bend=sensor.response_bend
+        gain_dn_per_e=1.0, read_noise_e=0.0, black_level_dn=black_dn, full_scale_dn=full_scale_dn, response_bend=bend
     )
 
 
@@ -113,15 +114,16 @@ def list_response_remarks(dataset: Dataset) -> list[str]:
 def add_common_drift(levels: list[Level]) -> list[Level]:
     """Return levels, darks first, whose standard errors of the mean include the drift from frame to frame.
 
-    The drift of a level cannot be determined from two frames. Its variance is therefore averaged over all levels of a
-    kind: that of the mean reading [DN²] for darks, that relative to the mean reading for flats. If no level of a kind
-    has several frames, its drift counts as 0. The error of a level with a single frame is then 0, although it is
-    unknown.
+    The drift of a level cannot be determined from two frames. The variance of the drift is therefore averaged over all
+    unsaturated levels of a kind: in DN² for darks, and for flats after division by the squared mean reading, as the
+    drift of a lamp is proportional to its light. If no level of a kind has several frames, its drift counts as 0. The
+    error of a level with a single frame is then 0, although it is unknown. `mean_error` of the given levels is that of
+    `measure_level`.
     """
     updated_levels = []
     for kind in ("dark", "flat"):
         same_kind = [level for level in levels if level.kind == kind]
-        # A saturated level shows no drift.
+        # Variance of the mean of one frame over the square of the drift scale. A saturated level shows no drift.
         frame_variances = [
             (level.mean_error / _get_drift_scale(level)) ** 2 * level.frames
             for level in same_kind
@@ -131,7 +133,7 @@ def add_common_drift(levels: list[Level]) -> list[Level]:
         for level in same_kind:
             noise_variance = np.nan_to_num(level.variance) / (level.frames * level.shape[0] * level.shape[1])
             drift_variance = 0.0 if level.is_saturated else frame_variance * _get_drift_scale(level) ** 2 / level.frames
-            # No sum: the scatter of the means of frames already contains the noise of their pixels.
+            # The larger variance, not the sum: the scatter of frame means already contains the noise of pixels.
             updated_levels.append(replace(level, mean_error=float(np.sqrt(max(noise_variance, drift_variance)))))
     return updated_levels
 
@@ -142,18 +144,18 @@ def collect_field(levels: Sequence[Level], field: str) -> np.ndarray:
 
 
 def measure_light(flats: Sequence[Level]) -> np.ndarray:
-    """Return what the light of each flat is proportional to [flat].
+    """Return a quantity that is proportional to the light of each flat [flat].
 
-    This is the number of photons if all flats give one and not all are 0, otherwise the exposure [s].
+    It is the number of photons if all flats give one and not all are 0, otherwise the exposure [s].
     """
     photons = collect_field(flats, "photons")
     return photons if np.isfinite(photons).all() and photons.any() else collect_field(flats, "exposure_s")
 
 
 def _get_drift_scale(level: Level) -> float:
-    """Return what the drift of a level is taken to be proportional to: the mean reading [DN] of a flat, 1 for a dark.
+    """Return the scale to which the drift of a level is proportional: the mean reading [DN] of a flat, 1 for a dark.
 
-    The mean reading of a flat stands for its light, although it includes the dark offset.
+    The mean reading of a flat approximates its light; the dark offset that it includes is neglected.
     """
     return level.mean if level.kind == "flat" else 1.0
 
@@ -168,6 +170,7 @@ def read_photons(frame: Frame) -> float:
     """
     if frame.kind == "dark":
         return 0.0
+    # `extra` has the texts of the additional columns of the manifest.
     text = (frame.extra.get(PHOTONS) or "").strip()
     if not text:
         return np.nan
@@ -247,8 +250,8 @@ def estimate_pattern_variances(first: np.ndarray, second: np.ndarray) -> Pattern
 
     The covariance contains no temporal noise, not even noise of whole rows. Means of columns and rows contain part of
     the pixel pattern. The variances of columns, rows and pixels are therefore solved for with
-    s² = s²_column + s²_row + s²_pixel. NaN pixels do not count. For frames of a single row or column, and of 2 × 2
-    pixels, all but the total are NaN.
+    s² = s²_column + s²_row + s²_pixel (EMVA 1288 Release 4.0 Linear, section 8.3). NaN pixels do not count. For frames
+    of a single row or column, and of 2 × 2 pixels, all but the total are NaN.
     """
     first, second = first - np.nanmean(first), second - np.nanmean(second)
     rows, columns = first.shape

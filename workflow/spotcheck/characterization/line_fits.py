@@ -35,6 +35,7 @@ def fit_through_zero(x: np.ndarray, y: np.ndarray, error: np.ndarray) -> tuple[f
     square = float(x @ x)
     slope = float(x @ y) / square
     residual = y - slope * x
+    # One parameter is fitted; a single point has no degree of freedom and the residual 0.
     reduced_chi2 = float(np.mean(residual**2 / error**2)) * len(x) / max(len(x) - 1, 1)
     slope_error = float(np.sqrt((x**2) @ error**2)) / square
     return slope, slope_error * float(np.sqrt(max(reduced_chi2, 1.0)))

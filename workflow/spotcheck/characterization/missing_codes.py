@@ -30,25 +30,26 @@ def find_missing_codes(images: Sequence[np.ndarray]) -> tuple[int, ...]:
     if np.any(codes != readings) or codes.min(initial=0) < 0:
         return ()
     counts = np.bincount(codes, minlength=1).astype(float)
-    present = np.flatnonzero(counts)
-    # A missing code needs its neighbours on both sides, besides 0.
-    if len(present) < 2 * NEIGHBOURS + 1:
+    used_codes = np.flatnonzero(counts)
+    # A missing code needs neighbours on both sides. One code more is required, since 0 may be among them.
+    if len(used_codes) < 2 * NEIGHBOURS + 1:
         return ()
-    lowest = present[1] if present[0] == 0 else present[0]
-    missing = []
-    for code in range(lowest + 1, present[-1]):
+    lowest = used_codes[1] if used_codes[0] == 0 else used_codes[0]
+    missing_codes = []
+    for code in range(lowest + 1, used_codes[-1]):
         if counts[code] == 0:
             # The nearest codes that occur: the table may also skip the adjacent one, or two in a row.
-            below, above = present[present < code][-NEIGHBOURS:], present[present > code][:NEIGHBOURS]
+            below, above = used_codes[used_codes < code][-NEIGHBOURS:], used_codes[used_codes > code][:NEIGHBOURS]
             if min(_estimate_count(counts, code, below), _estimate_count(counts, code, above)) > MIN_EXPECTED:
-                missing.append(code)
-    return tuple(missing)
+                missing_codes.append(code)
+    return tuple(missing_codes)
 
 
 def _estimate_count(counts: np.ndarray, code: int, neighbours: np.ndarray) -> float:
     """Return the number of pixels expected at a code: the least count of its neighbours on one side.
 
-    It is 0 if the neighbours are too few or too far away. `counts` [code] are numbers of pixels.
+    It is 0 if the neighbours are too few or too far away. `counts` [code] are numbers of pixels, and `neighbours` the
+    nearest codes on this side that occur.
     """
     if len(neighbours) < NEIGHBOURS or np.abs(neighbours - code).max() > 2 * NEIGHBOURS:
         return 0.0

@@ -38,8 +38,8 @@ DARK_QUANTILE, DARK_SD = 0.05, 5.0
 # Neighbouring differences overlap: the sum of squared correlations is 1 + 4/4 + 4/16, so that n of them determine a
 # variance to √(2 · 2.25/n).
 OVERLAP = 2.25
-# Saturation: the variance of a bin is below this part of what the lower bins predict, and lower by this number of
-# standard errors; it is looked for from this bin on.
+# Saturation is the first bin whose variance is below this part of what the lower bins predict, and lower by this number
+# of standard errors. Bins before this index are not tested.
 COLLAPSED_PART, COLLAPSED_SD, FIRST_BIN = 0.6, 5.0, 6
 # Texture is fitted if c² exceeds this number of standard errors, since its term doubles the error of the gain. ASSUME:
 # the variance of texture follows (c L)² up to this part of itself.
@@ -55,7 +55,7 @@ BIN_ERROR, MIN_VARIANCE = 1e-3, 1e-3
 # Number of fits of a curve, each with errors relative to the previous fit.
 FITS = 4
 # Correlation of differences: largest lag [px]; least deviation from white noise that counts, to which this number of
-# standard errors is added; and least deviation at lag 1 that makes differences useless as a measure of noise.
+# standard errors is added; and least deviation at lag 1 with which differences no longer measure the noise of a pixel.
 MAX_LAG, MIN_DEVIATION, DEVIATION_SD, MAX_DEVIATION = 16, 0.06, 3, 0.15
 # Correlation of neighbouring differences of white noise.
 WHITE_CORRELATION = -0.5
@@ -142,14 +142,16 @@ def _sort_into_bins(differences: PixelDifferences, full_scale_dn: float) -> list
     if indices.size < 2 * MIN_COUNT:
         return []
     ordered = np.sort(level[indices])
-    dark, lowest, highest = np.quantile(ordered, DARK_QUANTILE), ordered[0], ordered[-MIN_COUNT]
-    near_dark = indices[level[indices] < dark + NEAR_DARK_DN]
+    # The highest level is left to `MIN_COUNT` differences, so that the last bin has enough.
+    dark_level, lowest, highest = np.quantile(ordered, DARK_QUANTILE), ordered[0], ordered[-MIN_COUNT]
+    near_dark = indices[level[indices] < dark_level + NEAR_DARK_DN]
     noise = float(np.sqrt(_trim_outliers(difference[near_dark])[0])) if near_dark.size else 0.0
+    # Rounding of so little noise does not add 1/12 DN².
     if near_dark.size < MIN_COUNT or noise < MIN_NOISE_DN:
-        lowest = dark + NEAR_DARK_DN
+        lowest = dark_level + NEAR_DARK_DN
     # The first bin ends above all pixels without light. A level is the mean of four pixels, so its standard error is
     # half of the noise.
-    first_end = max(lowest, dark + DARK_SD * noise / 2)
+    first_end = max(lowest, dark_level + DARK_SD * noise / 2)
     if highest <= first_end:
         return []
     edges = np.concatenate([[lowest], first_end + (highest - first_end) * np.linspace(0, 1, BINS) ** 2])
@@ -191,6 +193,7 @@ def _cut_at_saturation(curve: NoiseCurve) -> NoiseCurve:
     The last level before them is left out as well, since some of its pixels may be saturated.
     """
     for index in range(FIRST_BIN, curve.level.size):
+        # Floor and gain of the lower bins, with levels counted from the first one.
         below = NoiseCurve(*(column[:index] for column in curve))
         floor, gain = _fit_curve(below, curve.level[0], 2).value
         expected = max(floor + gain * (curve.level[index] - curve.level[0]), below.variance.max())
@@ -241,12 +244,14 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
     texture = textured.value[2]
     has_texture = texture > TEXTURE_SD * np.sqrt(textured.covariance[2, 2])
     fit = textured if has_texture else linear
-    # A deviation of the texture's variance from (c L)² looks like gain: `TEXTURE_ERROR` c² L at the mean level.
+    # A deviation of the texture's variance from (c L)² looks like gain: a part `TEXTURE_ERROR` of c² L² adds this part
+    # of c² L to the slope, here at the mean level.
     deviation = TEXTURE_ERROR * abs(texture) * float(np.mean(curve.level - black_dn)) if has_texture else 0.0
     gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), deviation))
     if not gain > MIN_GAIN_SD * error:
         return None
-    # The lower end of both fits, since texture that is not significant lowers the gain as well.
+    # The lower of the ends of both fits: texture that is not significant is left out of the linear fit, whose gain it
+    # raises.
     textured_error = float(np.hypot(np.sqrt(textured.covariance[1, 1]), deviation))
     low = min(float(textured.value[1]) - INTERVAL_SD * textured_error, gain - INTERVAL_SD * error)
     floor, floor_error = float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0]))
@@ -256,8 +261,9 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
 def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseCorrelation:
     """Return how far the noise of an image [rows, columns] in DN is correlated, as by compression or fine grain.
 
-    Neighbouring differences of white noise have the correlation −1/2, more distant ones 0. With too few pixels the
-    noise counts as white. `full_scale_dn` is the largest possible reading [DN].
+    Neighbouring differences of white noise have the correlation `WHITE_CORRELATION`, more distant ones 0. The lag is
+    the distance [px] of two differences along a column or a row. With too few pixels the noise counts as white.
+    `full_scale_dn` is the largest possible reading [DN].
     """
     differences = compute_differences(image)
     # Differences relative to the noise of their level; NaN in clipped levels and for outliers.

@@ -1,6 +1,7 @@
 """Outlier pixels, columns and rows of an image: readings that no light can cause beside those of their neighbours.
 
-A line is a column or a row; the light of a pixel is its reading less the level without light.
+A line is a column or a row; the light of a pixel is its reading less the level without light. A crop is the image
+around a spot.
 
 # ASSUME: light on the sensor is nowhere finer than a Gaussian of σ 0.7 px, so that a pixel within three pixels of a
 bright one has at least a sixth of its light. In speckle as fine as the pixels, a third of a percent of the pixels is
@@ -43,15 +44,16 @@ class OutlierPixels:
     mask: np.ndarray  # True for all outliers [rows, columns]; False where the crop is NaN
 
     def describe(self, left: int = 0, top: int = 0) -> str:
-        """Return a sentence that lists the outliers by their position on the sensor.
+        """Return a sentence that lists the outliers by their position on the sensor; only for crops with outliers.
 
-        The crop starts in column `left` and row `top` of the sensor. Pixels are given as (column, row).
+        The crop starts in column `left` and row `top` of the sensor [px]. Pixels are given as (column, row). All lines
+        are listed, but at most `MAX_LISTED` pixels.
         """
         phrases = [f"column {left + column}" for column in self.columns] + [f"row {top + row}" for row in self.rows]
         phrases += [f"pixel ({left + column}, {top + row})" for row, column in self.pixels[:MAX_LISTED]]
         if len(self.pixels) > MAX_LISTED:
             phrases.append(f"{len(self.pixels) - MAX_LISTED} pixels more")
-        return f"{', '.join(phrases)} left out: no light beside explains what is read there"
+        return f"{', '.join(phrases)} left out: the light of their neighbours does not explain their readings"
 
 
 def find_outlier_pixels(image: np.ndarray, sensor: SensorModel) -> OutlierPixels:
@@ -62,22 +64,24 @@ def find_outlier_pixels(image: np.ndarray, sensor: SensorModel) -> OutlierPixels
     image : crop [rows, columns] in DN; NaN where it was not measured.
     sensor : sensor model, which gives the noise of a reading.
     """
-    level = float(np.nanquantile(image, LEVEL_QUANTILE))
-    is_known, light = np.isfinite(image), image - level
+    unlit_level = float(np.nanquantile(image, LEVEL_QUANTILE))
+    is_known, light = np.isfinite(image), image - unlit_level
     electrons = np.maximum(image - sensor.black_level_dn, 0.0) / sensor.gain_dn_per_e
     noise = sensor.gain_dn_per_e * np.sqrt(electrons + sensor.read_noise_e**2)
     margin = MARGIN_SD * np.sqrt(np.where(is_known, noise, 0.0) ** 2 + ROUNDING_VARIANCE)
     # Candidates for columns, rows and single pixels, in all line widths.
     in_column, in_row, is_single = np.zeros((3, *image.shape), bool)
     for width, max_ratio in MAX_RATIOS.items():
+        # Largest and smallest light of the neighbours beside a column and beside a row through each pixel.
         highest = [_find_neighbour_maximum(np.where(is_known, light, -np.inf), axis, width) for axis in (0, 1)]
         lowest = [-_find_neighbour_maximum(np.where(is_known, -light, -np.inf), axis, width) for axis in (0, 1)]
         for in_line, high, low in zip((in_column, in_row), highest, lowest, strict=True):
             in_line |= light > max_ratio * np.maximum(high, 0.0) + margin
+            # Too dark: below the smallest neighbour over the largest ratio, or below that neighbour if it is negative.
             in_line |= light < np.where(low > 0, low / max_ratio, low) - margin
         # A single pixel is dark if it is below all neighbours by their own range, which is unknown at full scale.
         high, low = np.maximum(*highest), np.minimum(*lowest)
-        neighbour_range = np.where(high + level < sensor.full_scale_dn, high - low, np.inf)
+        neighbour_range = np.where(high + unlit_level < sensor.full_scale_dn, high - low, np.inf)
         is_single |= light > max_ratio * np.maximum(high, 0.0) + margin
         is_single |= light < np.minimum(low, 0.0) - neighbour_range - margin
     columns, rows = _find_lines(image, in_column & is_known, 0), _find_lines(image, in_row & is_known, 1)

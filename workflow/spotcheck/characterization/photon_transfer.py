@@ -1,8 +1,9 @@
 """Photon transfer: gain and all other quantities of EMVA 1288 from levels of flats and darks.
 
 Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
-exposure. The gain is the slope of the temporal variance of the flats over their mean, both less those of a dark. The
-analysis follows EMVA 1288 Release 4.0 Linear. Each quantity has a standard error, or the reason why it is unknown.
+exposure, with its `mean` [DN], temporal `variance` [DN²], their errors, and the number of its `frames`. The gain is the
+slope of the temporal variance of the flats over their mean, both less those of a dark. The analysis follows EMVA 1288
+Release 4.0 Linear. Each quantity has a standard error, or the reason why it is unknown.
 """
 
 from collections.abc import Sequence
@@ -64,7 +65,8 @@ class RangeFit:
 def analyse_photon_transfer(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     """Return the photon transfer of levels of flats and darks.
 
-    Quantities that depend on contradictory levels are unknown, and a remark names the contradiction.
+    Levels may contradict each other in their exposures or photon numbers, or give a quantum efficiency above 1. Each
+    contradiction makes the quantities that depend on it unknown, and adds a remark.
 
     Parameters
     ----------
@@ -75,7 +77,7 @@ def analyse_photon_transfer(levels: Sequence[Level], full_scale_dn: float) -> Tr
     quantities = transfer.quantities
     for contradiction in check_levels(levels, transfer.flats, transfer.signal, quantities["quantum_efficiency"]):
         transfer.remarks.append(contradiction.sentence)
-        quantities.set_unknown(contradiction.unknown, contradiction.reason)
+        quantities.set_unknown(contradiction.affected_names, contradiction.reason)
     return replace(transfer, quantities=QuantityTable({name: quantities[name] for name in QUANTITIES}))
 
 
@@ -100,8 +102,8 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     signal = np.array([flat.mean - dark.mean for flat, dark in pairs])
     excess = np.array([flat.variance - dark.variance for flat, dark in pairs])
     error = np.maximum([np.hypot(flat.variance_error, dark.variance_error) for flat, dark in pairs], MIN_VARIANCE_ERROR)
-    no_flat = np.zeros(len(flats), bool)
-    transfer = Transfer(flats, darks, signal, excess, error, no_flat, None, quantities, remarks)
+    # Result without a gain: no flat is in its fit, and none is at saturation.
+    transfer = Transfer(flats, darks, signal, excess, error, np.zeros(len(flats), bool), None, quantities, remarks)
     if all(flat.is_saturated for flat in flats):
         remarks.append(ALL_SATURATED)
         quantities.fill_unknown(ALL_SATURATED)
@@ -109,7 +111,7 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     if not (excess > MIN_SIGNIFICANCE * error).any():
         quantities.fill_unknown(NO_SHOT_NOISE)
         return transfer
-    # Saturation is where the temporal noise is largest (section 8.3).
+    # Saturation is at the flat with the largest temporal noise (8.3), unless it is the brightest and not clipped.
     noisiest = int(np.argmax(excess))
     is_saturated = noisiest < len(flats) - 1 or flats[noisiest].at_full >= MIN_CLIPPED_PART
     is_in_gain_fit = (signal > 0) & (np.arange(len(flats)) <= noisiest)
@@ -156,10 +158,10 @@ def _select_darks(darks: list[Level], full_scale_dn: float, remarks: list[str]) 
 def _select_flats(flats: list[Level], remarks: list[str]) -> list[Level]:
     """Return the flat levels of two frames or more, by mean, and append a remark on the others to `remarks`."""
     noisy_flats = [flat for flat in flats if flat.frames > 1]
-    single = len(flats) - len(noisy_flats)
-    if single:
+    count = len(flats) - len(noisy_flats)
+    if count:
         remarks.append(
-            f"{single} flat level{'s have' if single > 1 else ' has'} a single frame, and noise needs two of one light"
+            f"{count} flat level{'s have' if count > 1 else ' has'} a single frame, and noise needs two of one light"
         )
     return sorted(noisy_flats, key=lambda flat: flat.mean)
 
@@ -172,11 +174,11 @@ def _find_nearest_dark(darks: Sequence[Level], exposure_s: float) -> Level:
 def _include_shared_dark(
     signal: np.ndarray, error: np.ndarray, is_in_gain_fit: np.ndarray, darks: Sequence[Level]
 ) -> np.ndarray:
-    """Return standard errors [DN²] of the fitted points that include the correlation by a dark which all share.
+    """Return standard errors [DN²], [fitted flat], of the fitted points; a dark that all of them share correlates them.
 
     The error s of the variance of a shared dark moves all points together. In the numerator Σ x y of the slope through
-    the origin, this adds the variance s² (Σ x)². Independent errors e of all points add e² Σ x², so that
-    e² = s² (Σ x)²/Σ x² has the same effect. The errors are unchanged if the points have different darks.
+    the origin, this adds the variance s² (Σ x)². Independent errors e of all points add e² Σ x². The shared error is
+    therefore replaced by independent ones of e² = s² (Σ x)²/Σ x². With different darks the errors are unchanged.
 
     Parameters
     ----------

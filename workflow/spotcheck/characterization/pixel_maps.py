@@ -65,7 +65,7 @@ class SensorMaps:
     flats: int  # number of flats used
 
     def at(self, exposure_s: float | None) -> PixelMaps:
-        """Return offsets and relative gains of the pixels at an exposure [s]; at that of the darks if it is None."""
+        """Return offsets [DN] and relative gains of the pixels at an exposure [s]; None means that of the darks."""
         offset, variance = self.offset.values, self.offset.stderr**2
         difference_s = 0.0 if exposure_s is None else exposure_s - self.exposure_s
         if self.slope is not None and np.isfinite(difference_s):
@@ -73,8 +73,9 @@ class SensorMaps:
             variance = variance + (difference_s * self.slope.stderr) ** 2
         stderr = float(np.sqrt(variance))
         if self.gain is None:
-            return PixelMaps(offset, np.where(np.isnan(offset), np.nan, 1.0), stderr)
-        return PixelMaps(offset, 1 + self.gain.values, stderr, self.gain.stderr)
+            # All pixels are alike; a pixel without an offset stays unknown.
+            return PixelMaps(offset, gain=np.where(np.isnan(offset), np.nan, 1.0), offset_stderr_dn=stderr)
+        return PixelMaps(offset, 1 + self.gain.values, offset_stderr_dn=stderr, gain_stderr=self.gain.stderr)
 
 
 def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
@@ -82,6 +83,7 @@ def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
 
     Frames are read one at a time. `full_scale_dn` is the largest reading of the converter [DN].
     """
+    # Each half is a list of frames.
     halves = _split_in_halves(dataset, "dark")
     if not halves[0]:
         return "there are no two darks of one exposure"
@@ -90,6 +92,7 @@ def measure_maps(dataset: Dataset, full_scale_dn: float) -> SensorMaps | str:
     exposures_s = np.array([np.nan if frame.exposure_s is None else frame.exposure_s for frame in halves[0]])
     deviations_s = exposures_s - exposures_s.mean() if np.isfinite(exposures_s).all() else np.zeros(len(exposures_s))
     slope_weights = deviations_s / max(float(deviations_s @ deviations_s), MIN_SQUARE_S2)
+    # Mean image and image of slopes of each half, and counts of pixels over all frames.
     means, slopes, pixels_at_zero, pixels = [], [], 0, 0
     for half in halves:
         mean = slope = np.zeros(1)
@@ -150,6 +153,7 @@ def _add_gain(
             ]
     if not flat_count:
         return maps
+    # The light that both sums share. A polynomial that is 0 or negative somewhere cannot divide them.
     light = fit_light(totals[0] + totals[1]) / 2
     if not (light > 0).all():
         return maps
@@ -162,8 +166,8 @@ def shrink_to_mean(first: np.ndarray, second: np.ndarray) -> MapEstimate:
     """Return the map that two halves share, shrunk towards 0 by a Wiener filter.
 
     Let s² be the variance of the pattern (covariance of the halves) and v that of the noise of the mean of the halves.
-    The mean of the halves is multiplied by w = s²/(s² + v), which has the standard error √(w v). Outliers are kept as
-    they are.
+    The mean of the halves is multiplied by w = s²/(s² + v); the result has the standard error √(w v). Outliers beyond
+    `OUTLIER_SD` are kept as they are.
 
     Parameters
     ----------

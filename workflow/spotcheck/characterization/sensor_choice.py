@@ -2,7 +2,11 @@
 
 A value comes from the data sheet (instrument.yaml) if that gives it, otherwise from flats and darks, otherwise from the
 noise of spots. Flats are frames of uniform light, darks are frames without light. A value that no source gives, or that
-contradicts another, is unknown (NaN), and the reason is stored.
+contradicts another, is unknown (NaN), and the reason is stored. A `SourceValue` has the value of one source, its
+standard error `stderr`, its `origin` in words, and the sentence of a `contradiction`, "" if there is none.
+
+A spot's noise floor is its variance without light [DN²]. The rim of an image is its outer pixels, which the spot hardly
+reaches. The texture of the light, such as speckle, looks like noise and raises the gain that spots give.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -98,7 +102,7 @@ def choose_sensor_values(
         contradictions.append(black_contradiction)
         sheet_value = values["black_level_dn"][SHEET]
         values["black_level_dn"][SHEET] = sheet_value._replace(contradiction=black_contradiction.sentence)
-    # Spots need the black level, if one is known from data sheet or darks.
+    # Light in the spots is counted from the black level of data sheet or darks; without one (NaN), from the rims.
     black_dn = _choose_source(values["black_level_dn"]).value
     known_black_dn = None if np.isnan(black_dn) else black_dn
     spots = estimate_from_spots(crops, pairs or {}, known_black_dn, full_scale.reading, instrument.sensor.response_bend)
@@ -146,12 +150,13 @@ def _add_flats_and_darks(
         kind: [frame.exposure_s for frame in dataset.frames if frame.kind == kind and frame.exposure_s is not None]
         for kind in KINDS
     }
-    # Darks that are too long contain an unknown dark current: neither their noise nor their level can be used.
+    # Darks that last too long contain an unknown dark current: neither their noise nor their level can be used.
     if not has_current and (reason := describe_long_darks(exposures_s["dark"], exposures_s["spot"], "spots")):
         had_noise = values["read_noise_e"].pop(FLATS, None) is not None
         black_sources.pop(FLATS, None)
         return [reason] if had_noise or SHEET not in black_sources else []
-    # Without a dark current the level at exposure 0 is unknown, and the black level is that of the darks themselves.
+    # The mean level of the darks replaces that of photon transfer if some darks contain light, or if the level at
+    # exposure 0 is unknown for want of a dark current.
     if len(darks.levels) and (darks.remark or not has_current):
         black_sources[FLATS] = _average_darks(darks.levels)
     remarks = [darks.remark] if darks.remark and SHEET not in black_sources else []
@@ -207,13 +212,16 @@ def _add_spots(values: SourceTable, spots: SpotEstimates, has_black_level: bool,
     Parameters
     ----------
     values : table with the values of the other sources.
-    spots : estimates from spots [DN].
+    spots : estimates from spots in DN. `gain` has gain and noise floor, and `low`, the lower end of the interval of the
+        gain; `saturation` is a level over black with its error; `zero_level_dn` is the level of the rims if the black
+        level is unknown.
     has_black_level : whether the black level is known from another source.
     is_top_hat : whether the light itself has a plateau. The plateau of the readings then counts as saturation only if
-        it has lost its noise.
+        its pixels have much less than shot noise.
     """
     if spots.gain is not None:
-        # Undetected texture counts as gain: the error covers the lower end of the interval.
+        # Texture that was not detected raises the gain. The error therefore reaches down to the lower end of the gain's
+        # interval, which allows for texture and is `INTERVAL_SD` standard errors away.
         error = max(spots.gain.gain_stderr, (spots.gain.gain - spots.gain.low) / INTERVAL_SD)
         values["gain_dn_per_e"][SPOTS] = SourceValue(spots.gain.gain, error, spots.method)
     gain = _choose_source(values["gain_dn_per_e"])
@@ -227,18 +235,20 @@ def _add_spots(values: SourceTable, spots: SpotEstimates, has_black_level: bool,
     if spots.gain is not None:
         floor, floor_error = max(spots.gain.floor - ROUNDING_VARIANCE, 0.0), spots.gain.floor_stderr
         noise = float(np.sqrt(floor)) / gain.value
-        # σ = √floor/K: a floor of 0 within its error gives a noise of 0 with the error √floor_stderr/K.
+        # Propagated error of σ = √floor/K. It diverges as the floor approaches 0. Its limit is √floor_error/K, the
+        # noise of a floor of one standard error.
         error = min(floor_error / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(floor_error)) / gain.value
         if not has_black_level:
-            # The rim of a frame may contain light, whose shot noise is then part of the floor.
-            dark_floor = max(floor - gain.value * max(spots.level_dn, 0.0), 0.0)
+            # Light was counted from the rims, which may contain light themselves. The error covers the extreme case
+            # that their whole reading is light, whose shot noise K L is then part of the floor.
+            dark_floor = max(floor - gain.value * max(spots.zero_level_dn, 0.0), 0.0)
             error = float(np.hypot(error, noise - np.sqrt(dark_floor) / gain.value))
         stderr = float(np.hypot(error, noise * relative_gain_error))
         values["read_noise_e"][SPOTS] = SourceValue(noise, stderr, spots.method)
 
 
 def convert_to_electrons(spots: SpotEstimates) -> dict[str, SourceValue]:
-    """Return the sensor values that spots alone give without a known black level, by name of the quantity.
+    """Return gain, full well and read noise that spots alone give without a known black level, by name in `QUANTITIES`.
 
     The result is empty if the spots give no gain.
     """
@@ -281,7 +291,7 @@ def _choose_value(
     contradiction : sentence of the contradiction that makes the quantity unknown; "" if there is none.
     """
     if name in ONLY_FROM_SHEET:
-        # No full well is an infinite one.
+        # A full well that is unknown or not given counts as infinite.
         no_value = SourceValue(np.inf, np.nan, contradiction or "none given")
         return no_value if contradiction else sources.get(SHEET, no_value)
     # A contradicted black level was replaced by that of the next source.
@@ -307,10 +317,11 @@ def _build_dataset(
     dataset : dataset with its data sheet.
     values : values of all sources.
     full_scale : largest possible reading.
-    contradictions : each makes its `unknown` quantities unknown; of several, the last one gives the reason.
+    contradictions : each makes its `affected_names` unknown; of several, the last one gives the reason.
     remarks : faults of the dark frames, which are also appended to the origin of the black level.
     """
-    sentences = {name: contradiction.sentence for contradiction in contradictions for name in contradiction.unknown}
+    # Name of each affected quantity → sentence.
+    sentences = {name: fault.sentence for fault in contradictions for name in fault.affected_names}
     # sensor.nc has the attributes of other results, such as the title, but no axes.
     ds = xr.Dataset(attrs=store.make_grid(dataset).attrs)
     for name, (units, long_name) in QUANTITIES.items():
@@ -338,9 +349,8 @@ def read_standard_errors(ds: xr.Dataset) -> tuple[float, float, float]:
 
     Unknown ones (NaN) are returned as 0.
     """
-    gain, noise, black = (
-        float(np.nan_to_num(ds[f"{name}_stderr"])) for name in ("gain_dn_per_e", "read_noise_e", "black_level_dn")
-    )
+    names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
+    gain, noise, black = (float(np.nan_to_num(ds[f"{name}_stderr"])) for name in names)
     return gain, noise, black
 
 

@@ -45,8 +45,8 @@ class SpotEstimates:
     method: str  # how gain and floor were measured, as a phrase; "" if there is no gain
     saturation: tuple[float, float] | None  # level over black and standard error [DN]; None if spots do not saturate
     saturated_variance: float  # temporal variance of a saturated pixel [DN²]; NaN without pairs
-    level_dn: float  # level from which light was counted [DN]: black level, or median of the rims of all frames
-    lowest_dn: float  # lowest such level of all frames [DN]
+    zero_level_dn: float  # level from which light was counted [DN]: black level, or median of the rims of all frames
+    lowest_zero_level_dn: float  # lowest level from which light was counted in a frame [DN]
 
     @property
     def is_noise_lost(self) -> bool:
@@ -69,25 +69,30 @@ def estimate_from_spots(
     ----------
     crops : images of spots [rows, columns] in DN.
     pairs : pairs of images [rows, columns] in DN of the same pixels, by a phrase that says what the two frames are,
-        such as "repeats". Each phrase is a method. Differences of pairs do not contain the grain of the material, which
-        differences of neighbouring pixels contain.
-    black_dn : black level [DN]. If it is None, light is counted from the level of each crop's rim; the floor is then
-        the noise of a dark pixel with the shot noise of stray light.
+        such as "repeats". Each kind of pairs is a method of its own, beside neighbouring pixels. Differences of pairs
+        do not contain the grain of the material, which differences of neighbouring pixels contain.
+    black_dn : black level [DN]. If it is None, light is counted from the rim of each crop, and in pairs from the median
+        of all rims. The floor then also contains the shot noise of light on the rim.
     full_scale_dn : largest possible reading [DN].
     response_bend : response curvature of the data sheet [1], which is corrected.
     """
-    nonlinear = SensorModel(1.0, 0.0, full_scale_dn=full_scale_dn, response_bend=response_bend)
-    curves, saturations, levels, tested_crops = list[NoiseCurve](), list[float](), list[float](), list[np.ndarray]()
+    # Sensor model for `linearize`, which needs no gain and read noise: these are placeholders.
+    linearizer = SensorModel(
+        gain_dn_per_e=1.0, read_noise_e=0.0, full_scale_dn=full_scale_dn, response_bend=response_bend
+    )
+    curves, tested_crops = list[NoiseCurve](), list[np.ndarray]()
+    saturations, zero_levels = list[float](), list[float]()
     for crop in crops:
-        level = measure_rim(crop) if black_dn is None else black_dn
-        sensor = replace(nonlinear, black_level_dn=level)
+        zero_level = measure_rim(crop) if black_dn is None else black_dn
+        sensor = replace(linearizer, black_level_dn=zero_level)
         image = sensor.linearize(crop)
-        saturation = find_saturation(image, level)
+        saturation = find_saturation(image, zero_level)
         curve = noise_curve.measure_noise_curve(image, _limit_readings(sensor, saturation))
-        levels.append(level)
+        zero_levels.append(zero_level)
         saturations.append(saturation)
         if curve.level.size:
-            curves.append(curve._replace(level=curve.level - level))
+            curves.append(curve._replace(level=curve.level - zero_level))
+        # The readings as they are: only they show the codes of the converter.
         if len(tested_crops) < TESTED_FRAMES:
             tested_crops.append(crop)
     # Noise curves over light, of all crops together and of each kind of pairs.
@@ -96,14 +101,15 @@ def estimate_from_spots(
         method = f"differences of neighbouring pixels in {_format_count(len(curves), 'frame')}"
         pooled = NoiseCurve(*(np.concatenate(columns) for columns in zip(*curves, strict=True)))
         curves_by_method[method + _describe_faults(tested_crops, full_scale_dn)] = pooled
-    level = float(np.median(levels)) if levels else black_dn or 0.0
-    sensor = replace(nonlinear, black_level_dn=level)
+    zero_level = float(np.median(zero_levels)) if zero_levels else black_dn or 0.0
+    sensor = replace(linearizer, black_level_dn=zero_level)
     saturated_sums = np.zeros(2)
     for phrase, image_pairs in pairs.items():
         curve, count, saturated_sums_of_kind = _compare_pairs(image_pairs, sensor)
         curves_by_method[f"differences of {_format_count(count, 'pair')} of {phrase}"] = curve
         saturated_sums += saturated_sums_of_kind
-    fits = ((method, noise_curve.fit_gain(curve, 0.0)) for method, curve in curves_by_method.items())
+    # The levels of these curves are over black.
+    fits = ((method, noise_curve.fit_gain(curve, black_dn=0.0)) for method, curve in curves_by_method.items())
     gains = {method: gain for method, gain in fits if gain is not None}
     best_method = min(gains, key=lambda method: gains[method].gain_stderr / gains[method].gain, default="")
     return SpotEstimates(
@@ -111,8 +117,8 @@ def estimate_from_spots(
         method=best_method,
         saturation=find_common_saturation(saturations),
         saturated_variance=float(saturated_sums[1] / saturated_sums[0]) if saturated_sums[0] else np.nan,
-        level_dn=level,
-        lowest_dn=min(levels, default=level),
+        zero_level_dn=zero_level,
+        lowest_zero_level_dn=min(zero_levels, default=zero_level),
     )
 
 
@@ -121,7 +127,8 @@ def _compare_pairs(
 ) -> tuple[NoiseCurve, int, np.ndarray]:
     """Return the noise curve over light of pairs of images, the number of pairs, and the sums of `_sum_saturated`.
 
-    `pairs` are images [rows, columns] in DN; `sensor` gives black level, full scale and response curvature.
+    `pairs` are images [rows, columns] in DN; `sensor` gives black level, full scale and response curvature. The levels
+    of the curve are over black. A tally, see `frame_pairs`, is the sums over pixels from which a curve is computed.
     """
     black_dn, tally, count, saturated_sums = sensor.black_level_dn, EMPTY_TALLY, 0, np.zeros(2)
     for pair in pairs:
@@ -145,9 +152,10 @@ def _limit_readings(sensor: SensorModel, *saturations: float) -> float:
 
 
 def _describe_faults(images: Sequence[np.ndarray], full_scale_dn: float) -> str:
-    """Return why differences of neighbouring pixels are unreliable, to be appended to the method; "" if they are not.
+    """Return faults of differences of neighbouring pixels, to be appended to the name of the method; "" without faults.
 
-    Noise counts as correlated only if it is correlated in half of the images or more: by chance it seems so in one.
+    `images` are [rows, columns] in DN. Noise counts as correlated only if it is correlated in half of the images or
+    more: by chance it seems so in one.
     """
     missing_codes = find_missing_codes(images)
     correlations = [noise_curve.measure_noise_correlation(image, full_scale_dn) for image in images]

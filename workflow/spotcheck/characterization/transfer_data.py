@@ -1,7 +1,8 @@
 """Content of transfer.nc: the statistics of every level of flats and darks, and all quantities of EMVA 1288.
 
 Flats are frames of uniform light, darks are frames without light. A level is all flats or darks of one light and one
-exposure.
+exposure. The signal of a flat is its mean reading less that of its dark, and its excess is the temporal variance less
+that of its dark. The pattern of a level is its mean image without noise.
 """
 
 import numpy as np
@@ -46,7 +47,8 @@ QUANTITY_VARIABLES = {
 def build_transfer_dataset(transfer: Transfer, title: str, name: str) -> xr.Dataset:
     """Return the content of transfer.nc.
 
-    Its variables are over `dark` and `flat` (levels), over `range` (parts of saturation) and over `quantity`.
+    Its variables are over `dark` and `flat` (levels), over `range` (the levels up to a part of saturation) and over
+    `quantity`.
 
     Parameters
     ----------

@@ -75,12 +75,12 @@ def main(argv: list[str] | None = None) -> None:
     from spotcheck.errors import InputError
     from spotcheck.io import progress
 
-    # A terminal without ° or µ prints an escape sequence instead of a traceback.
+    # A terminal whose encoding lacks ° or µ shows an escape sequence, where `print` would fail.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     if threading.current_thread() is threading.main_thread():
-        # SystemExit lets half-written files be removed.
+        # `sys.exit` raises SystemExit, so that half-written files are removed on the way out.
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         with progress.shown():
@@ -103,7 +103,10 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def run(words: Sequence[str]) -> None:
-    """Run the subcommand of a command line, given as its words. Raises `InputError` for what the user can correct."""
+    """Run the subcommand of a command line, given as the words after the name of the program.
+
+    Raises `InputError` for an error that the user can correct.
+    """
     args = parse(words)
     args.run(args)
 

@@ -1,4 +1,8 @@
-"""`spotcheck adopt`: writes the results about the instrument, such as a measured gain, into an instrument file."""
+"""`spotcheck adopt`: writes the results about the instrument, such as a measured gain, into an instrument file.
+
+A choice is the decision whether a learned value replaces that of the data sheet, the dataset's own instrument.yaml. An
+unused result is one that no key of an instrument file can hold.
+"""
 
 import argparse
 from pathlib import Path
@@ -17,9 +21,7 @@ EXAMPLES = "spotcheck adopt out/my-frames --to camera.yaml"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser, also --effects, --only and --without (`effect_options`)."""
     parser.add_argument("results", type=Path, help="results folder of a dataset, such as results/my-frames")
-    parser.add_argument(
-        "--to", type=Path, help="instrument file to write, which must be new; without it only the table"
-    )
+    parser.add_argument("--to", type=Path, help="new instrument file to write; without it only the table is printed")
     effect_options.add_options(parser)
 
 
@@ -29,7 +31,7 @@ def run(args: argparse.Namespace) -> None:
     Raises `InputError` if the folder has no results of a dataset, or none about the instrument.
     """
     effect_options.apply_options(args)
-    # Folder of the dataset whose results these are.
+    # Path of the dataset folder whose results these are, "" if the folder has no results.
     folder = store.read_owner(args.results) if args.results.is_dir() else ""
     if not folder:
         raise InputError(f"{args.results}: holds no results of a dataset; name its folder, such as results/my-frames")

@@ -1,4 +1,7 @@
-"""`spotcheck bounds`: writes bounds.nc, the Cramér-Rao bounds of fits over exposure time."""
+"""`spotcheck bounds`: writes bounds.nc, the Cramér-Rao bounds of fits over exposure time.
+
+A bound is the smallest standard error that an unbiased fit can have. σ_g is the width of the Gaussian spot.
+"""
 
 import argparse
 
@@ -22,15 +25,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the bounds of the peak's photons and of the spot's width σ_g [px] over exposure time.
+    """Write the bounds of the photons at the peak and of σ_g [px] over exposure time.
 
     Prints the number of exposures, or why there are no bounds.
     """
     dataset = folder.load(args.dataset)
-    exposures_s = np.array(dataset.exposures)
+    instrument, exposures_s = dataset.instrument, np.array(dataset.exposures)
     with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
-        result = compute_bounds(
-            calibration, dataset.instrument, exposures_s, read_sensor_model(sensor), dataset.instrument.crop_px
-        )
+        # Without a sensor model (None) or a calibration, the attribute `skipped` says why there are no bounds.
+        result = compute_bounds(calibration, instrument, exposures_s, read_sensor_model(sensor), instrument.crop_px)
     store.write(result, args.output, code=provenance.code_digest(__name__), inputs=[args.calibration, args.sensor])
     print(result.attrs.get("skipped", f"bounds at {result.sizes.get('fine_exposure', 0)} exposures"))

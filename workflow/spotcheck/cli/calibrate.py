@@ -41,8 +41,10 @@ def run(args: argparse.Namespace) -> None:
     if "skipped" in calibration.attrs:
         print(f"skipped: {calibration.attrs['skipped']}")
     else:
+        # SIMULATION_ESTIMATOR is the name of the estimator that the simulation uses.
         estimate = calibration.sel(estimator=SIMULATION_ESTIMATOR)
         for name in ("p1", "p2"):
+            # The variables `_mean` and `_sd_all` are the mean and the standard deviation over all sites.
             site_deviation = float(estimate[f"{name}_sd_all"])
             # A single site has no standard deviation.
             ending = " px (one site)" if math.isnan(site_deviation) else f" ± {site_deviation:.3f} px"

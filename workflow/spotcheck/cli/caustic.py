@@ -1,4 +1,7 @@
-"""`spotcheck caustic`: writes caustic.nc, the hyperbolas of the beam's width along z, with waist, divergence and M²."""
+"""`spotcheck caustic`: writes caustic.nc, the hyperbolas of the beam's width along z, with waist, divergence and M².
+
+z is the position along the beam. The beam quality M² is 1 for an ideal Gaussian beam and larger for others.
+"""
 
 import argparse
 
@@ -26,6 +29,7 @@ def run(args: argparse.Namespace) -> None:
     if "skipped" in caustic.attrs:
         print(f"skipped: {caustic.attrs['skipped']}")
     else:
+        # Axis of the beam in words → its row of caustic.nc.
         for axis, row in select_beam_rows(caustic).items():
             print(f"M² = {quantity_text(float(row['m2']), float(row['m2_stderr']))} ({axis})")
     for remark in store.remarks_of(caustic):

@@ -12,7 +12,7 @@ from spotcheck.dataset import folder
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.dataset.plausibility import list_unusual_values
 from spotcheck.io import configuration
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model import baseline
 
 EXAMPLES = "spotcheck check my-frames"
 
@@ -23,17 +23,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print the number of frames of each kind, remarks on implausible values, and the command to run next.
+    """Print the number of frames of each kind, remarks, and the command to run next.
 
+    The remarks concern the format of the frames, implausible values, and a path that needs quotes in config.yaml.
     Raises `InputError` for a breach of the contract.
     """
     dataset = folder.load(args.dataset)
     frame_format = check_dataset(dataset)
-    # Raises `InputError` for a profile of the light that cannot be read.
-    of_instrument(dataset.instrument, dataset.exposures)
+    # Called for its check only: it raises `InputError` if the file that instrument.yaml names as `light.profile`, the
+    # shape of the light, cannot be read.
+    baseline.of_instrument(dataset.instrument, dataset.exposures)
     kinds = ", ".join(f"{sum(frame.kind == kind for frame in dataset.frames)} {kind}" for kind in KINDS)
     rows, columns = frame_format.shape
     print(f"{dataset.name}: {kinds} frames of {columns} × {rows} px, {frame_format.bits} bit: in order")
+    # `remark_on_quotes` returns None for a path without need of quotes.
     remarks = (*frame_format.remarks, *list_unusual_values(dataset), configuration.remark_on_quotes(args.dataset))
     for remark in filter(None, remarks):
         print(remark)

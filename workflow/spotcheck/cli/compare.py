@@ -14,15 +14,17 @@ EXAMPLES = "spotcheck compare out/my-frames out/my-flats --page comparison.html 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument(
-        "results", nargs="+", type=Path, help="results folders of two datasets or more, the first is the reference"
-    )
+    parser.add_argument("results", nargs="+", type=Path, help="two results folders or more, the reference first")
     parser.add_argument("--page", required=True, type=Path, help="page to write")
     parser.add_argument("--output", required=True, type=Path, help="comparison.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write page and numbers of the comparison, and print how many quantities changed beyond their errors."""
+    """Write page and numbers of the comparison, and print how many quantities changed beyond their errors.
+
+    A row of the comparison is a quantity; its `is_changed` [dataset] is True for significant differences from the
+    first dataset.
+    """
     comparison = compare_datasets(args.results)
     code = provenance.code_digest(__name__)
     store.write(build_dataset(comparison), args.output, code=code, inputs=list_sources(args.results))

@@ -1,4 +1,8 @@
-"""`spotcheck correct`: writes the frames in electrons, with their variance."""
+"""`spotcheck correct`: writes the frames in electrons, with their variance.
+
+A calibration is what results say about the sensor: its parameters, the maps of offset and gain of its pixels, and the
+detected effects on well and response.
+"""
 
 import argparse
 from pathlib import Path
@@ -19,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write every frame corrected, and print gain K, black level, maps of pixels and response that were used."""
+    """Write every corrected frame, and print the gain K, black level, maps of pixels and response that were used."""
     effect_options.apply_options(args)
     dataset, calibration = folder.load(args.dataset), read_calibration(args.results)
     count = write_corrected_frames(dataset, calibration, args.output)

@@ -23,11 +23,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def apply_options(args: argparse.Namespace) -> None:
     """Set the vocabulary of this process to that of the parsed options."""
-    effects.choose(choice_of(args))
+    effects.choose(make_choice(args))
 
 
-def choice_of(args: argparse.Namespace) -> Choice:
-    """Return the choice of the parsed options."""
+def make_choice(args: argparse.Namespace) -> Choice:
+    """Return the choice that the parsed options of `add_options` make."""
     return Choice(tuple(args.effects), tuple(args.only), tuple(args.without))
 
 
@@ -67,7 +67,10 @@ def check_same(saved: Mapping[str, Any], name: str) -> None:
 
 
 def _format(difference: Mapping[str, Any]) -> str:
-    """Return a vocabulary in words, from its `difference` to the library's as `effects.record` gives it."""
+    """Return a vocabulary in words, from its `difference` to the library's as `effects.record` gives it.
+
+    The key `own` has the name, file and digest of each added effect, `left_out` the names of missing ones.
+    """
     added = [f"{effect['name']} of {effect['file']} ({effect['sha256'][:8]})" for effect in difference.get("own", ())]
     phrases = [f"with {', '.join(added)}"] if added else []
     phrases += [f"without {', '.join(difference['left_out'])}"] if difference.get("left_out") else []

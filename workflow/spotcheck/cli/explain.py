@@ -1,4 +1,7 @@
-"""`spotcheck explain`: shows where a number of the results comes from: file, variable, rule and inputs."""
+"""`spotcheck explain`: shows where a number of the results comes from: file, variable, rule and inputs.
+
+A rule is a step of the workflow that runs a subcommand. A number has a name such as p1 or fits.sigma_mean[…].
+"""
 
 import argparse
 import json
@@ -36,6 +39,7 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print(json.dumps(explanation.explanation_record(number, results), indent=1, ensure_ascii=False))
     else:
+        # The source of a number names the subcommand that wrote it, whose sentence says what it does.
         print(explanation.explanation_text(number, results, args.name, COMMANDS.get(number.source.command, "")))
 
 

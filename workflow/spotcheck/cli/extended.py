@@ -1,4 +1,8 @@
-"""`spotcheck extended`: simulate frames by the extended model, evaluate them as the measured ones, and compare."""
+"""`spotcheck extended`: simulates frames by the extended model, evaluates them as the measured ones, and compares.
+
+The declared model is the simulation from calibration and data sheet. The extended model, in model.yaml, has in addition
+the physical effects that the verdict detected.
+"""
 
 import argparse
 from pathlib import Path
@@ -33,7 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Simulate and evaluate the extended model, and print how far each model is from the measured frames."""
+    """Simulate and evaluate the extended model, and print how far each model is from the measured frames.
+
+    If the verdict gives no extended model, files without content are written, and the reason is printed.
+    """
     code, inputs = provenance.code_digest(__name__), [args.model, args.metrics, args.crops, args.fits]
     args.folder.mkdir(parents=True, exist_ok=True)
     if reason := reason_without_model(args.model):
@@ -48,7 +55,7 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.metrics) as declared, store.read(args.output) as extended:
         rows = compare_models(declared, extended)
     store.write_text(args.table, comparison_csv(rows), code=code, inputs=[*inputs, args.output])
-    for metric, (of_declared, of_extended) in summarise_comparison(rows).items():
-        print(
-            f"{metric:17} distance from measured: declared {of_declared:.2f}, extended {of_extended:.2f} sd of repeats"
-        )
+    # Distances of both models from the measured frames, in standard deviations of the repeats.
+    for metric, (declared_distance, extended_distance) in summarise_comparison(rows).items():
+        distances = f"declared {declared_distance:.2f}, extended {extended_distance:.2f} sd of repeats"
+        print(f"{metric:17} distance from measured: {distances}")

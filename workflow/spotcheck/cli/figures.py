@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Draw the figures that the results support, and print why others were skipped."""
+    """Draw the figures that the results support, and print their number and why others were skipped."""
     with Results(args.results, args.dataset) as results:
         index = write_all(results, Path(args.output))
     for record in index["skipped"]:

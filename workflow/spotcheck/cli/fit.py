@@ -20,23 +20,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", help="folder of the dataset, whose instrument says what the spot is")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
-    parser.add_argument("--maps", nargs="*", default=[], help="maps.nc, where the dataset has darks")
+    parser.add_argument("--maps", nargs="*", default=[], help="maps.nc, if the dataset has darks")
     parser.add_argument("--output", required=True, help="fits.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:
     """Fit every crop, and print for each kind of fit how many succeeded and why others failed."""
     instrument = folder.load(args.dataset).instrument
+    # Offset and gain of each pixel; --maps has one path or none.
     maps = None
     for path in args.maps:
         with store.read(path) as maps_file:
             maps = read_maps(maps_file)
     with store.read(args.crops) as crops, store.read(args.sensor) as sensor:
-        fits = fit_crops(
-            crops, read_sensor_model(sensor), instrument.model.top_hat, instrument.optics.pixel_integration, maps
-        )
+        pixel_integration = instrument.optics.pixel_integration
+        fits = fit_crops(crops, read_sensor_model(sensor), instrument.model.top_hat, pixel_integration, maps)
     inputs = [args.crops, args.sensor, *args.maps]
     store.write(fits, args.output, code=provenance.code_digest(__name__), inputs=inputs)
+    # The status of a fit is a set of bits. A failed fit has no amplitude (NaN).
     has_frame = (fits["status"] & store.flag("missing")) == 0
     for fit_name in fits["fit"].values:
         amplitude, is_present = fits["amplitude"].sel(fit=fit_name), has_frame.sel(fit=fit_name)

@@ -31,7 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Compare the flats with a linear sensor, write the verdict and print its summary."""
+    """Compare the flats with a linear sensor, write the verdict and print its summary.
+
+    The verdict is composed from the findings of the comparison, and records how the vocabulary differs from the
+    library's.
+    """
     effect_options.apply_options(args)
     dataset, limits = folder.load(args.dataset), tolerance.parse_tolerance(args.tolerance)
     with store.read(args.frames) as frame_table, file_cache.verify_unchanged(dataset, frame_table):

@@ -1,4 +1,4 @@
-"""`spotcheck ingest`: writes frames.nc, the table of digest, shape and extreme readings of every frame."""
+"""`spotcheck ingest`: writes frames.nc, the table of digest (SHA-256), shape and extreme readings of every frame."""
 
 import argparse
 from pathlib import Path

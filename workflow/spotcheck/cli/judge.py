@@ -32,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--crops", required=True, help="crops.nc")
     parser.add_argument("--sensor", required=True, help="sensor.nc")
-    parser.add_argument("--fits", help="fits.nc, from which the fits start (default: a fit of each frame alone)")
+    parser.add_argument(
+        "--fits", help="fits.nc with starting values of the model (default: each frame is first fitted)"
+    )
     tolerance.add_option(parser)
     parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
     parser.add_argument("--model", required=True, help="model.yaml to write, which `spotcheck simulate` runs")
@@ -42,7 +44,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Judge the dataset, write the verdict and the other files, and print the summary of the verdict."""
+    """Judge the dataset, write the verdict and the other files, and print the summary of the verdict.
+
+    A judgement has the findings, from which the verdict is composed, and the content of the other files.
+    """
     effect_options.apply_options(args)
     use_single_heap()
     dataset, limits = folder.load(args.dataset), tolerance.parse_tolerance(args.tolerance)

@@ -17,7 +17,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print a line for each effect that was tested but is not named. Raises `InputError` without a verdict."""
+    """Print a line for each effect that was tested but is not named in the verdict.
+
+    Raises `InputError` if the results have no verdict.
+    """
     verdict_path = (args.results or find_only_results(Path("results"))) / "verdict.json"
     if not verdict_path.is_file():
         raise InputError(f"{verdict_path}: is not there; name the results of a dataset that was judged")

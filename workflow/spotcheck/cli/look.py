@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> None:
     images.
     """
     folder = args.output or (None if args.json else Path(FOLDER))
-    # `find_folder` gives the absolute folder that holds an image.
+    # `find_folder` returns the absolute path of a folder, or of the folder that holds an image.
     if not args.output and folder and folder.resolve() in (find_folder(Path(path)) for path in args.images):
         raise InputError(f"{FOLDER}: holds the images; name another folder for the page with --output")
     result = look(args.images, z_m=args.z, pixel_pitch_m=args.pixel_pitch_m, wavelength_m=args.wavelength_m)

@@ -1,4 +1,7 @@
-"""`spotcheck metrics`: writes metrics.nc, image metrics of measured and simulated frames side by side."""
+"""`spotcheck metrics`: writes metrics.nc, image metrics of measured and simulated frames side by side.
+
+A pair is a measured frame and the simulated frame of the same conditions. Its PSNR is the peak signal-to-noise ratio.
+"""
 
 import argparse
 
@@ -27,6 +30,7 @@ def run(args: argparse.Namespace) -> None:
         metrics = compute_metrics(crops, fits, float(sensor["full_scale_dn"]))
     inputs = [*args.crops, *args.fits, args.sensor]
     store.write(metrics, args.output, code=provenance.code_digest(__name__), inputs=inputs)
-    # A pair has a PSNR for each registration of the two crops and each data range; without a fit it lacks some.
+    # A pair has a PSNR for each registration (alignment) of its crops and each data range, the peak value that the PSNR
+    # refers to. Without a fit it lacks some of them (NaN).
     is_pair = metrics["psnr"].notnull().any(("registration", "data_range"))
     print(f"{int(is_pair.sum())} pairs of frames evaluated")

@@ -19,7 +19,7 @@ from spotcheck.errors import InputError
 from spotcheck.io import configuration
 from spotcheck.io.formats.colour import Colour
 
-# Column or key that the user is asked for → (example of an answer, meaning of the answer).
+# Column or key that the user is asked for → (example of an answer, meaning of the column or key).
 QUESTIONS = {
     "exposure_s": ("2 ms", "exposure time of all frames"),
     POSITION: ("mm", "unit of the positions in the names"),
@@ -51,8 +51,10 @@ def run(args: argparse.Namespace) -> None:
     Raises `InputError` if one of the files exists, no image can be read, or an answer is impossible.
     """
     folder, answers = args.folder, dict(_parse_answer(word) for word in args.answers)
+    # Raises `InputError` if a file exists.
     template.check_absent(folder)
     colour = Colour(*(answers.get(key) for key in COLOUR_KEYS))
+    # Frames of the folder, files that are neither images nor metadata, and a message for each unreadable image.
     scan = scan_folder(folder, colour) if folder.is_dir() else FolderScan((), (), ())
     if scan.errors and not scan.frames:
         hint = ", such as by --set sensor.channel=red" if COLOUR_KEYS[0] in scan.errors[0] else ""
@@ -74,11 +76,12 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour: Colour) -> None:
-    """Print what the files state, ask for what is missing, and write both files with a row per frame.
+    """Print what the files state, ask for what is missing, and write both files, the manifest with a row per frame.
 
-    `scan` is the content of the folder, `answers` the value of each column or key that the user gave, `colour` the
-    colour that is taken of colour images. The user is asked only at a terminal.
+    `scan` is the content of the folder, `answers` the value of each column or key that the user gave. `colour` says
+    which channel of colour images is read. The user is asked only at a terminal.
     """
+    # The draft has the rows of the manifest and the keys of the instrument file.
     draft = draft_manifest(scan, answers)
     print(*summarize_scan(str(folder), scan, draft), sep="\n")
     if missing_keys := list(_list_missing_keys(draft)):
@@ -89,6 +92,7 @@ def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour:
             print(f"Not found: {', '.join(missing_keys)}.")
             print(f"Give what you know by options such as --set {example}, or write it into manifest.csv and")
             print("instrument.yaml. Without it the frames are evaluated as far as possible.")
+    # The side of the crop is None if the default is large enough or no spot was found.
     proposal = propose_crop_size(folder, draft, colour)
     if not proposal.has_spot:
         print("No spot stands out in these frames. Mark darks and flats by the words dark and flat in names of")
@@ -97,12 +101,12 @@ def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour:
 
 
 def _ask_user(scan: FolderScan, key: str) -> tuple[str, str] | None:
-    """Return a key of `QUESTIONS` with the answer of the user; None if the user does not know it.
+    """Return `key`, one of `QUESTIONS`, with the answer of the user; None after an empty answer, if it is not known.
 
     The user is asked again after an invalid answer.
     """
-    example, question = QUESTIONS[key]
-    while answer := input(f"{key}: {question}, such as {example} (Enter if it is not known): ").strip():
+    example, meaning = QUESTIONS[key]
+    while answer := input(f"{key}: {meaning}, such as {example} (Enter if it is not known): ").strip():
         try:
             pair = _parse_answer(f"{key}={answer}")
             check_answers(scan, dict([pair]))
@@ -115,25 +119,31 @@ def _ask_user(scan: FolderScan, key: str) -> tuple[str, str] | None:
 def _list_missing_keys(draft: ManifestDraft) -> Iterator[str]:
     """Yield the columns of the manifest and keys of the instrument file that these frames need and no file states."""
     # Columns for which files state values that cannot be used, since a unit is missing or sources disagree.
-    unclear = {record.column for record in draft.unused} | {conflict.column for conflict in draft.conflicts}
-    if len(draft.missing["exposure_s"]) == len(draft.rows) and "exposure_s" not in unclear:
+    unclear_columns = {record.column for record in draft.unused} | {conflict.column for conflict in draft.conflicts}
+    # `missing` has the files without a value by column. The exposure is asked for only if all rows lack it.
+    if len(draft.missing["exposure_s"]) == len(draft.rows) and "exposure_s" not in unclear_columns:
         yield "exposure_s"
-    if POSITION in unclear and POSITION not in draft.columns:
+    if POSITION in unclear_columns and POSITION not in draft.columns:
         yield POSITION
     if draft.has_spots:
         yield from (key for key in ("sensor.pixel_pitch_m", "laser.wavelength_m") if key not in draft.instrument_keys)
 
 
 def _parse_answer(word: str) -> tuple[str, str]:
-    """Return column or key, and value, of a word KEY=VALUE. Raises `InputError` for an unknown key or value."""
+    """Return column or key, and value, of a word KEY=VALUE.
+
+    Raises `InputError` if the word is not of this form, the key is unknown, or the value is not among the choices of
+    the key. The value is not checked further.
+    """
     key, equals, value = (part.strip() for part in word.partition("="))
-    keys = template.list_settable_keys()
-    if not equals or key not in (*METADATA_COLUMNS, *keys) or not value:
+    # JSON schema of each key; `enum` lists the choices, if the key has any.
+    schema_by_key = template.list_settable_keys()
+    if not equals or key not in (*METADATA_COLUMNS, *schema_by_key) or not value:
         raise InputError(
             f"--set {word}: must be KEY=VALUE, with a KEY of {', '.join(METADATA_COLUMNS)} or of a number of"
             " instrument.yaml; write others into that file"
         )
-    choices = keys.get(key, {}).get("enum", [value])
+    choices = schema_by_key.get(key, {}).get("enum", [value])
     if value not in choices:
         raise InputError(f"--set {word}: must be one of {', '.join(choices)}")
     return key, value

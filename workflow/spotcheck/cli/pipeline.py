@@ -73,12 +73,13 @@ def judge_dataset(
     effect_words = effect_options.list_options(Choice(tuple(map(str, effects)), tuple(only), tuple(without)))
     with TemporaryDirectory(prefix="spotcheck-") as temporary:
         output = Path(temporary if results is None else results) / dataset.name
+        # Marks the folder as results of this dataset, or raises `InputError` if it belongs to another one.
         store.claim(output, dataset.folder)
         try:
             for command, options in _list_stages(dataset, output):
                 words = _format_options(options)
                 words += effect_words if command in COMMANDS_WITH_EFFECT_OPTIONS else []
-                # Subcommands print for a terminal.
+                # The text that subcommands print for a terminal is discarded.
                 with redirect_stdout(io.StringIO()):
                     cli.run([command, str(dataset.folder), *words])
         finally:
@@ -93,17 +94,18 @@ def evaluate_extended_model(args: argparse.Namespace) -> None:
     `args` are the parsed arguments of the subcommand `extended`. The folder of the simulated dataset also gets its
     frames.nc, crops.nc and fits.nc.
     """
-    folder, effect_words = str(args.folder), effect_options.list_options(effect_options.choice_of(args))
+    folder, effect_words = str(args.folder), effect_options.list_options(effect_options.make_choice(args))
     frames, crops, fits = (f"{folder}/{name}.nc" for name in ("frames", "crops", "fits"))
+    # Options by name: --sensor of several subcommands, those of `simulate`, and those of `metrics`.
     sensor = {"sensor": args.sensor}
     simulated = {"model": args.model, **sensor, "seed": args.seed, "folder": folder, "output": args.images}
-    pairs = {"crops": (args.crops, crops), "fits": (args.fits, fits), **sensor, "output": args.output}
+    compared = {"crops": (args.crops, crops), "fits": (args.fits, fits), **sensor, "output": args.output}
     for words in (
         ["simulate", args.dataset, *_format_options(simulated), *effect_words],
         ["ingest", folder, *_format_options({"output": frames})],
         ["crop", folder, *_format_options({"frames": frames, "output": crops})],
         ["fit", args.dataset, *_format_options({"crops": crops, **sensor, "output": fits})],
-        ["metrics", *_format_options(pairs)],
+        ["metrics", *_format_options(compared)],
     ):
         cli.run(words)
 
@@ -125,7 +127,7 @@ def _list_stages(dataset: Dataset, output: Path) -> Iterator[tuple[str, dict[str
     verdict = output / "verdict.json"
     yield "ingest", {"output": frames}
     transfer_option = {}
-    # Flats (frames of uniform light) or darks (frames without light).
+    # Frames other than spots are flats (frames of uniform light) or darks (frames without light).
     if len(dataset.spots) < len(dataset.frames):
         yield "transfer", {"frames": frames, "output": transfer}
         transfer_option = {"transfer": transfer}

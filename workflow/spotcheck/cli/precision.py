@@ -1,4 +1,7 @@
-"""`spotcheck precision`: writes precision.nc, the scatter of fits over repeats beside the Cramér-Rao bound."""
+"""`spotcheck precision`: writes precision.nc, the scatter of fits over repeats beside the Cramér-Rao bound.
+
+The bound is the smallest standard error that an unbiased fit can have.
+"""
 
 import argparse
 

@@ -20,7 +20,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Write the page, and print its size. Raises `InputError` if the verdict was found with other effects."""
+    """Write the page, and print its size [MB].
+
+    Raises `InputError` if the verdict was found with other effects than those of the options.
+    """
     effect_options.apply_options(args)
     verdict_path = args.results / "verdict.json"
     if verdict_path.exists():

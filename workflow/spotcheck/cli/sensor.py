@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Choose every parameter of the sensor, and print each with its unit and source, and all remarks."""
     dataset = folder.load(args.dataset)
-    # Quantities of flats and darks by name; --transfer has one path or none.
+    # EMVA 1288 quantities of flats and darks by name; --transfer has one path or none.
     measured = {}
     for path in args.transfer:
         with store.read(path) as transfer:

@@ -1,7 +1,8 @@
 """`spotcheck simulate`: writes a file of mean images, and the folder of a simulated dataset.
 
 The paper's model is a Gaussian spot whose width follows a law over exposure time, from calibration.nc. The extended
-model, from model.yaml, has further physical effects.
+model, from model.yaml, has further physical effects. calibration.nc has the law by several estimators;
+SIMULATION_ESTIMATOR is the name of the one that the simulation uses.
 """
 
 import argparse
@@ -50,7 +51,10 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _simulate_paper_model(args: argparse.Namespace, dataset: folder.Dataset) -> None:
-    """Simulate with the law of calibration.nc, or with the fit of each frame in fits.nc if there is no law."""
+    """Simulate with the law of calibration.nc, or with the fit of each frame in fits.nc if there is no law.
+
+    Raises `InputError` without --calibration and --fits.
+    """
     if not args.calibration or not args.fits:
         raise InputError("simulate: the model is missing; give --calibration and --fits, or --model")
     with store.read(args.calibration) as calibration, store.read(args.fits) as fits, store.read(args.sensor) as sensor:
@@ -63,7 +67,10 @@ def _simulate_paper_model(args: argparse.Namespace, dataset: folder.Dataset) -> 
 
 
 def _simulate_extended_model(args: argparse.Namespace, dataset: folder.Dataset) -> None:
-    """Simulate with the parameters of model.yaml. Raises `InputError` if gain or read noise is unknown."""
+    """Simulate with the parameters of model.yaml.
+
+    Raises `InputError` with --calibration or --fits, or if gain or read noise is unknown.
+    """
     if args.calibration or args.fits:
         raise InputError("simulate: --model has all parameters; leave out --calibration and --fits, or --model")
     model_path = Path(args.model)

@@ -10,10 +10,10 @@ from spotcheck.errors import InputError
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Limits below which a residual is not called a disagreement."""
+    """Limits within which a residual is not called a disagreement."""
 
     of_peak: float = TOLERANCE  # largest rms residual of mean images, as a part of the spot's peak
-    alpha: float = ALPHA  # p-value of the test below which it counts: the rate of false alarms
+    alpha: float = ALPHA  # p-value below which a residual counts as a disagreement: the rate of false alarms
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:

@@ -28,6 +28,7 @@ def run(args: argparse.Namespace) -> None:
     with store.read(args.frames) as table, file_cache.verify_unchanged(dataset, table):
         dataset = exclude_copies(dataset, table)
         transfer = analyse_ingested_frames(dataset, float(table["full_scale"]))
+        # Content of transfer.nc, with images and spectra of the fixed pattern of the sensor.
         content = add_patterns(build_transfer_dataset(transfer, dataset.title, dataset.name), dataset, transfer)
         # The response curvature of the data sheet, which was corrected.
         content.attrs["response_bend"] = dataset.instrument.sensor.response_bend

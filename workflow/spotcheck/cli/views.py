@@ -36,7 +36,8 @@ def run(args: argparse.Namespace) -> None:
     dataset = folder.load(args.dataset)
     paths = {name: getattr(args, name) for name in ("crops", "fits", "calibration", "sensor")}
     files = {name: store.read(path) for name, path in paths.items()}
-    # The frames with all that their analysis needs; a sentence with the reason if they cannot be analysed.
+    # A record: the frames, their cells on the grid, the spot of each, and the `setting` (declared model of the light
+    # and sensor model). It is a sentence with the reason if the frames cannot be analysed.
     ready = prepare_dataset(dataset, files["crops"], files["sensor"], files["fits"])
     # Why there is no extended model; "" if there is one.
     reason = reason_without_model(args.model)

@@ -1,4 +1,7 @@
-"""Propose a crop size for the spots of a folder of images."""
+"""Propose a crop size for the spots of a folder of images.
+
+A crop is the square image that is cut out around a spot.
+"""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -17,8 +20,10 @@ from spotcheck.io.formats.colour import MONOCHROME, Colour
 MAX_FRAMES = 16
 # Side of the blocks that are averaged first, so that a hot pixel is not the peak [px].
 BLOCK_PX = 4
-# Width of the crop in standard deviations of the spot, which the dataset contract requires, and its step [px].
+# Side of the crop in standard deviations of the spot, which the required form of a dataset sets, and its step [px].
 CROP_SIGMAS, STEP_PX = 10, 20
+# Least number of blocks above half of the peak that give a covariance of positions.
+MIN_BLOCKS = 3
 # σ of a Gaussian over the standard deviation of positions inside its half maximum. These fill a disk of radius
 # √(2 ln 2) σ, and the standard deviation per axis of a uniform disk is half its radius.
 SIGMA_OVER_DISK = 2 / np.sqrt(2 * np.log(2))
@@ -32,12 +37,12 @@ class CropProposal(NamedTuple):
 
 
 def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOCHROME) -> CropProposal:
-    """Return the crop size for the widest spot in a sample of the spot frames of a folder.
+    """Return the side of a crop for the widest spot in a sample of the spot frames of a folder.
 
     Parameters
     ----------
     folder : folder of the images.
-    draft : frames found in it, and their rows of the manifest.
+    draft : frames found in it, and for each the row of the manifest with its `kind` (spot, dark or flat).
     colour : how colour images are converted to one channel.
     """
     spot_frames = [frame for frame, row in zip(draft.frames, draft.rows, strict=True) if row["kind"] == "spot"]
@@ -52,7 +57,7 @@ def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOC
             continue
         if find_light_centroid(pixels, Instrument.crop_px).exists:
             sigmas.append(estimate_sigma(pixels))
-    # Rounded up to a multiple of the step, within the default crop size and the smallest frame.
+    # Rounded up to a multiple of the step, but at least the default crop size and at most the smallest frame.
     side = STEP_PX * -(-CROP_SIGMAS * max(sigmas, default=0.0) // STEP_PX)
     smallest_frame = min(min(frame.shape) for frame in spot_frames)
     side = int(min(smallest_frame, max(Instrument.crop_px, side)))
@@ -62,12 +67,13 @@ def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOC
 def estimate_sigma(pixels: np.ndarray) -> float:
     """Return the standard deviation of a spot along its longer axis [px], from the region above half its peak.
 
-    `pixels` [row, column] are in DN. The result is 0 if that region has fewer than three blocks.
+    `pixels` [row, column] are in DN. The result is 0 if that region has fewer than `MIN_BLOCKS` blocks.
     """
     side = min(BLOCK_PX, *pixels.shape)
     means = average_blocks(pixels, side)
     background = float(np.median(means))
     positions = np.argwhere(means > (background + float(means.max())) / 2)
-    if len(positions) < 3:
+    if len(positions) < MIN_BLOCKS:
         return 0.0
+    # The largest eigenvalue is the variance of the positions along the longer axis.
     return float(SIGMA_OVER_DISK * side * np.sqrt(np.linalg.eigvalsh(np.cov(positions.T))[-1]))

@@ -1,7 +1,8 @@
 """The crop stage: cut out the spot of each frame and flag unusable frames (crops.nc).
 
-The frames lie on a grid of conditions such as angle, exposure and repeat. Each frame has two crops, one for each of
-`CENTRINGS`. The status of a crop is a set of flags, stored as bits (`store.STATUS`).
+The frames lie on a grid of conditions such as angle, exposure and repeat; a cell is a place in it. Each frame has two
+crops, one for each of `CENTRINGS`. The status of a crop is a set of flags, stored as bits (`store.STATUS`). The column
+`keep` of manifest.csv decides by hand: no excludes a frame, yes uses it in spite of some flags.
 """
 
 from collections.abc import Iterator
@@ -49,7 +50,7 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
     dataset : Dataset
         Its spot frames are decoded one at a time.
     table : xr.Dataset
-        frames.nc of the dataset.
+        Content of frames.nc, the table of all frames of the dataset.
     path : Path
         crops.nc to write.
     code, inputs
@@ -63,7 +64,7 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
     side = dataset.instrument.crop_px
     full_scale = float(table["full_scale"])
     columns = (table[name].values for name in ("file", "page", "copy_of"))
-    # `copy_of` is −1 for a frame that is no copy.
+    # By file and page of a frame. `copy_of` is −1 for a frame that is no copy.
     is_copy = {(str(file), int(page)): int(copy_of) >= 0 for file, page, copy_of in zip(*columns, strict=True)}
     coordinates = _crop_coordinates(dataset, (int(table["rows"]), int(table["columns"])))
     with (
@@ -83,6 +84,7 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
             statuses.append(values["status"])
             image, left, top = (values[name][AT_LIGHT] for name in ("image", "left", "top"))
             moments.append(measure_moments(image, left, top) if is_usable(values["status"][AT_LIGHT]) else None)
+        # Outliers are known only when all frames are measured.
         revised_statuses, remarks = _flag_outliers(dataset, np.array(statuses), moments)
         for index, status in zip(indices, revised_statuses, strict=True):
             writer.put(index, {"status": status})
@@ -117,7 +119,7 @@ def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int)
     spots = (spotfinding.find_light_centroid(pixels, side), spotfinding.find_brightest_pixel(pixels))
     images = np.stack([spotfinding.cut_crop(pixels, spot, side) for spot in spots])
     reduced, extremes = frames.reduce_frame(pixels), measure_extremes(frames.select_good_readings(pixels))
-    # A plateau below full scale also clips.
+    # Readings clip at full scale, or at a plateau below it: many pixels with exactly the highest reading.
     clip = float(extremes.highest) if extremes.has_plateau() else full_scale
     tops, lefts = [spot.row - side // 2 for spot in spots], [spot.column - side // 2 for spot in spots]
     statuses = []
@@ -130,10 +132,10 @@ def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int)
 
 
 def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: float) -> int:
-    """Return the flags that the pixels of a crop [row, column] in DN give: saturated, black or clipped.
+    """Return the flags of a crop [row, column] in DN: saturated alone, or black, clipped, both or none (0).
 
-    `has_spot` tells whether the frame has light above the noise, and `clip` is the reading [DN] at which it is clipped.
-    A saturated crop has no other flag.
+    NaN pixels do not count; a crop without any other is saturated. A crop is black if its frame has no light above the
+    noise (`has_spot`). `full_scale` is the largest reading, and `clip` the reading at which the frame is clipped [DN].
     """
     readings = image[np.isfinite(image)]
     if np.count_nonzero(readings < full_scale) <= MAX_UNCLIPPED_SATURATED * readings.size:
@@ -160,13 +162,14 @@ def _flag_outliers(
     statuses : array [spot, centring]
         The revised flags.
     remarks : list of str
-        One sentence for each reason for which frames are set aside, or used by hand, with those frames.
+        One sentence for each reason for which frames are set aside, or are used by hand in spite of it.
     """
     outliers, remark = find_outlier_frames(dataset, moments)
     reasons = {outlier.spot: outlier.reason for outlier in outliers}
     for outlier in outliers:
         statuses[outlier.spot] |= store.flag(outlier.flag)
-    # Labels of frames by what happens to them and why, such as "set aside as black: …".
+    # EXCLUDED are all flags by which a frame is set aside, CLEARED_BY_KEEP those that keep = yes clears.
+    # Fate of frames and its reason, such as "set aside as black: …" → labels of these frames.
     labels_by_fate: dict[str, list[str]] = {}
     for spot, frame in enumerate(dataset.spots):
         flags = statuses[spot, AT_LIGHT] & store.EXCLUDED
@@ -187,15 +190,23 @@ def _flag_outliers(
 
 
 def is_usable(status: int | np.ndarray | xr.DataArray) -> bool:
-    """Return whether the status of one crop allows a fit and metrics; it must be a single number."""
+    """Return whether the status of one crop, a single number, allows a fit and metrics.
+
+    `store.UNUSABLE` are the flags of frames without a usable spot, such as missing, copy or dropped.
+    """
     return not int(status) & store.UNUSABLE
 
 
 def iterate_cells(ds: xr.Dataset, dims: tuple[str, ...]) -> Iterator[dict[str, int]]:
-    """Yield the index of each cell of the grid along `dims` that has a frame, as keywords for `isel`.
+    """Yield the indices {dimension: index} of each cell of the grid along `dims` that has a frame, for `isel`.
 
-    A cell has a frame if it has at least one along the other dimensions. Frames can then be read one at a time. Most
-    cells may be empty, for example if each repeat has its own exposure.
+    A cell has a frame if any combination of the other dimensions has one: its `status` is not "missing". Most cells may
+    be empty, for example if each repeat has its own exposure.
+
+    Parameters
+    ----------
+    ds : result over the grid, with `status` over `dims` and further dimensions such as `centring`.
+    dims : names of dimensions of the grid.
     """
     other_dims = [dim for dim in ds["status"].dims if dim not in dims]
     has_frame = (ds["status"] != store.flag("missing")).any(other_dims).transpose(*dims).values

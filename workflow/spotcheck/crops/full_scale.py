@@ -24,7 +24,7 @@ MIN_PLATEAU_PX, MIN_PLATEAU_RATIO = 10, 5
 # A plateau above this part of the stated range is the end of the converter: many stop slightly below their largest
 # number, at 4080 or 4094 of 4095. A lower plateau is saturation of the sensor, which the verdict detects.
 END_OF_RANGE = 0.99
-# Readings of fewer steps may all be multiples of a step above 1 by chance.
+# If the highest reading is fewer steps than this, all readings may be multiples of the step by chance.
 MIN_STEPS = 16
 
 
@@ -35,7 +35,7 @@ class ReadingExtremes:
     lowest: int  # lowest reading [DN]
     highest: int  # highest reading [DN]
     at_highest: int  # number of pixels at the highest reading
-    at_next: int  # largest number of pixels at one of the `READINGS_BELOW` readings below the highest
+    most_below: int  # largest number of pixels at one of the `READINGS_BELOW` readings (steps) below the highest
     bits: int  # bitwise OR of all readings: the bits that any reading sets
 
     def has_plateau(self, lowest: int | None = None) -> bool:
@@ -44,7 +44,7 @@ class ReadingExtremes:
         `lowest` is the lowest reading of the dataset [DN], by default of this frame. A highest reading close to it is
         no plateau: frames without light and noise have one reading everywhere.
         """
-        gathers = self.at_highest >= max(MIN_PLATEAU_PX, MIN_PLATEAU_RATIO * self.at_next)
+        gathers = self.at_highest >= max(MIN_PLATEAU_PX, MIN_PLATEAU_RATIO * self.most_below)
         lowest = self.lowest if lowest is None else lowest
         return gathers and self.highest - lowest >= READINGS_BELOW * find_reading_step(self.bits)
 
@@ -62,9 +62,10 @@ FROM_FRAMES = "where"
 
 
 def measure_extremes(pixels: np.ndarray) -> ReadingExtremes:
-    """Return the statistics of the extreme readings of a frame of integers [DN], of any shape."""
+    """Return the statistics of the extreme readings of a frame: unsigned integers [DN] of any shape, at least one."""
     highest, bits = int(pixels.max()), int(np.bitwise_or.reduce(pixels, axis=None))
     step = find_reading_step(bits)
+    # Distances [DN] from the highest reading. The range ends at 0, below which unsigned integers cannot go.
     distance = highest - pixels[pixels >= highest - min(READINGS_BELOW * step, highest)].astype(np.int64)
     # Number of pixels at the highest reading and at each step below.
     counts = np.bincount(distance // step, minlength=2)
@@ -83,15 +84,16 @@ def find_full_scale(extremes: Sequence[ReadingExtremes], instrument: Instrument,
     """Return the largest possible reading of a dataset.
 
     The first of these that is available is used: `sensor.full_scale_dn` of instrument.yaml; the plateau of the
-    brightest frames, unless `sensor.bit_depth` states a range that ends clearly above it; the range of
-    `sensor.bit_depth`; the range of the stored pixel.
+    brightest frames, unless it is below `END_OF_RANGE` of the range of `sensor.bit_depth`; the range of
+    `sensor.bit_depth`; the range of the stored pixel. Remarks say which keys of instrument.yaml to correct.
 
     Parameters
     ----------
     extremes : sequence of ReadingExtremes
-        One for each frame.
+        One for each frame, of readings after the shift by `sensor.value_shift_bits`. Without frames, the value comes
+        from instrument.yaml or the stored pixel.
     instrument : Instrument
-        Keys of instrument.yaml.
+        Keys of instrument.yaml, of which `full_scale_dn` and `bit_depth` may be None.
     container_bits : int
         Bits of a stored pixel.
     """
@@ -106,28 +108,31 @@ def find_full_scale(extremes: Sequence[ReadingExtremes], instrument: Instrument,
         return FullScale(stated, "instrument.yaml", (*remarks, too_low) if highest > stated else remarks)
     # Frames that show a plateau at the highest reading of the dataset.
     lowest = min((frame.lowest for frame in extremes), default=0)
-    clipped = [frame for frame in extremes if frame.highest == highest and frame.has_plateau(lowest)]
-    converter = "bits of the converter"
-    if not clipped or highest == range_end:
-        container = f"container of {container_bits} bit (sensor.bit_depth is missing)"
-        return FullScale(range_end, converter if depth else container, remarks)
-    count = f"{len(clipped)} frames stop" if len(clipped) > 1 else "1 frame stops"
+    clipped_frames = [frame for frame in extremes if frame.highest == highest and frame.has_plateau(lowest)]
+    converter_source = "bits of the converter"
+    if not clipped_frames or highest == range_end:
+        container_source = f"container of {container_bits} bit (sensor.bit_depth is missing)"
+        return FullScale(range_end, converter_source if depth else container_source, remarks)
+    # Phrases for sources and remarks.
+    stops = f"{len(clipped_frames)} frames stop" if len(clipped_frames) > 1 else "1 frame stops"
     if depth and highest > END_OF_RANGE * range_end:
-        return FullScale(highest, f"{FROM_FRAMES} {count}, within 1 % of sensor.bit_depth {depth}", remarks)
-    plateau = f"{count} at exactly {highest} DN, up to {max(frame.at_highest for frame in clipped)} pixels of one"
+        return FullScale(highest, f"{FROM_FRAMES} {stops}, within 1 % of sensor.bit_depth {depth}", remarks)
+    most_pixels = max(frame.at_highest for frame in clipped_frames)
+    stops_at = f"{stops} at exactly {highest} DN, up to {most_pixels} pixels of one"
+    # The plateau is far from the end of the stated range, or no range is stated.
     proposal = _propose_bit_depth(highest, bits)
     if depth is None:
         advice = f"{proposal} would say so" if proposal else "give it"
-        missing = (
-            f"instrument.yaml: sensor.bit_depth is missing, and {plateau}, which is taken for full scale; {advice}"
+        remark = (
+            f"instrument.yaml: sensor.bit_depth is missing, and {stops_at}, which is taken for full scale; {advice}"
         )
-        return FullScale(highest, f"{FROM_FRAMES} {count} (sensor.bit_depth is missing)", (*remarks, missing))
+        return FullScale(highest, f"{FROM_FRAMES} {stops} (sensor.bit_depth is missing)", (*remarks, remark))
     file = instrument.get_file_name("sensor.bit_depth")
     advice = (
         f"{proposal} would be right" if proposal else "fits take them as whole, and the verdict looks for saturation"
     )
-    remark = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {range_end} DN, but {plateau}; {advice}"
-    return FullScale(range_end, converter, (*remarks, remark))
+    remark = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {range_end} DN, but {stops_at}; {advice}"
+    return FullScale(range_end, converter_source, (*remarks, remark))
 
 
 def _propose_bit_depth(highest: int, bits: int) -> str:
@@ -137,19 +142,21 @@ def _propose_bit_depth(highest: int, bits: int) -> str:
     readings.
     """
     step = find_reading_step(bits)
-    readings = highest // step + 1
+    # Number of possible readings, 0 included.
+    reading_count = highest // step + 1
     # A power of two has no bit in common with the number below it.
-    if readings & (readings - 1):
+    if reading_count & (reading_count - 1):
         return ""
     shift = f" and sensor.value_shift_bits {step.bit_length() - 1}" if step > 1 else ""
-    return f"sensor.bit_depth {readings.bit_length() - 1}{shift}"
+    return f"sensor.bit_depth {reading_count.bit_length() - 1}{shift}"
 
 
 def _check_alignment(highest: int, bits: int, instrument: Instrument) -> tuple[str, ...]:
-    """Return a remark if all readings are multiples of a step above 1; otherwise an empty tuple.
+    """Return a remark if all readings are multiples of a step above 1 and the highest is `MIN_STEPS` steps or more.
 
     The bits of the converter are then the upper ones of the stored pixel, and rounding noise is larger than assumed.
-    `highest` [DN] and `bits` are those of readings after the shift by `sensor.value_shift_bits`.
+    `highest` [DN] and `bits` (bitwise OR) are those of readings after the shift by `sensor.value_shift_bits`. The
+    result is an empty tuple otherwise.
     """
     step = find_reading_step(bits)
     if step == 1 or highest < MIN_STEPS * step:

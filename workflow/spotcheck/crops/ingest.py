@@ -1,4 +1,7 @@
-"""The ingest stage: check the frames of a dataset and tabulate digest, extremes, clipping and copies (frames.nc)."""
+"""The ingest stage: check the frames of a dataset and tabulate digest, extremes, clipping and copies (frames.nc).
+
+A digest is the SHA-256 of a file. The manifest (manifest.csv) lists the frames of a dataset, one row for each.
+"""
 
 import hashlib
 import re
@@ -19,10 +22,14 @@ from spotcheck.io import progress, store
 
 # Largest number of frames that a remark lists by name.
 MAX_NAMED = 5
+# Largest length of the name of a variable for a column of the manifest.
+MAX_NAME_LENGTH = 100
 
 
 def check_dataset(dataset: Dataset) -> frames.FrameFormat:
-    """Check without decoding pixels that all files exist, that their headers agree, and that the crop fits.
+    """Return the format that all frames share, after a check of their files; no pixel is decoded.
+
+    The files must exist, their headers must agree, and the crop must fit into the frames.
 
     Raises
     ------
@@ -88,8 +95,8 @@ def ingest_frames(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] 
     coordinates = _extra_columns(dataset, {*columns, *shared})
     table = xr.Dataset(columns | shared, coordinates, {"title": dataset.title, "dataset": dataset.name})
     table["full_scale"].attrs["source"] = full_scale.source
-    copies = _name_copies(dataset, copy_of)
-    remarks = [*frame_format.remarks, *list_unusual_values(dataset), *full_scale.remarks, *copies]
+    copy_remarks = _describe_copies(dataset, copy_of)
+    remarks = [*frame_format.remarks, *list_unusual_values(dataset), *full_scale.remarks, *copy_remarks]
     return store.add_remarks(table, remarks)
 
 
@@ -121,8 +128,8 @@ def _decode_frames(
     statistics, records, first_rows = [], dict[str, file_cache.FileRecord](), dict[bytes, int]()
     for row, frame in enumerate(progress.track(dataset.frames, "reading frames")):
         if frame.path not in records:
-            path = dataset.folder / frame.path
-            records[frame.path] = file_cache.record_file(path, before.get(str(path)))
+            full_path = dataset.folder / frame.path
+            records[frame.path] = file_cache.record_file(full_path, before.get(str(full_path)))
         pixels = frames.select_good_readings(frames.read_masked_image(dataset, frame))
         extremes = measure_extremes(pixels)
         # ASSUME: two exposures that agree in every pixel are copies, as noise makes them differ. Frames with the same
@@ -131,40 +138,42 @@ def _decode_frames(
         first_row = row if is_uniform else first_rows.setdefault(hashlib.sha256(pixels.data).digest(), row)
         zeros = int(pixels.size - np.count_nonzero(pixels))
         statistics.append((extremes, float(pixels.mean(dtype=np.float64)), zeros, first_row if first_row < row else -1))
-    for file, record in records.items():
-        if file_cache.record_file(dataset.folder / file, record).sha256 != record.sha256:
-            raise InputError(f"{file}: has changed while it was read; run again when nothing writes to it")
-    return statistics, {file: record.sha256 for file, record in records.items()}
+    # The digest is computed again only if size or times of the file differ from the record.
+    for path, record in records.items():
+        if file_cache.record_file(dataset.folder / path, record).sha256 != record.sha256:
+            raise InputError(f"{path}: has changed while it was read; run again when nothing writes to it")
+    return statistics, {path: record.sha256 for path, record in records.items()}
 
 
 def _column(values: Sequence[Any], dtype: Any, units: str, long_name: str) -> tuple:
-    """Return dimension, values and attributes of a variable of frames.nc with one value per frame."""
+    """Return dimension, values and attributes of a variable of frames.nc from its values [frame]."""
     return "frame", np.array(values, dtype), {"units": units, "long_name": long_name}
 
 
 def _extra_columns(dataset: Dataset, reserved: set[str]) -> dict[str, tuple]:
     """Return the additional columns of the manifest as coordinates, under names that netCDF allows.
 
-    `reserved` are the names of other variables, which are avoided. Values are texts, as in the manifest.
+    `reserved` are the names of other variables, which are avoided. Values are texts, as in the manifest. Two columns
+    whose names differ only in other characters than letters and digits share a name, and the last one is stored.
     """
     coordinates = {}
     for column in dataset.frames[0].extra:
-        name = re.sub(r"\W", "_", column)[:100]
+        name = re.sub(r"\W", "_", column)[:MAX_NAME_LENGTH]
         name = name if name[:1].isalpha() and name not in reserved else f"column_{name}"
         texts = [frame.extra[column] for frame in dataset.frames]
         coordinates[name] = _column(texts, object, get_column_unit(column), f"column {column}")
     return coordinates
 
 
-def _name_copies(dataset: Dataset, copy_of: Sequence[int]) -> list[str]:
+def _describe_copies(dataset: Dataset, copy_of: Sequence[int]) -> list[str]:
     """Return one remark for each frame that is a copy, at most `MAX_NAMED`, and the number of the others.
 
     `copy_of` [frame] is the row of the first frame with the same pixels; −1 for a frame that is no copy.
     """
     remarks = [
-        f"{frame.label} holds the same pixels as {dataset.frames[first].label}, so that it is left out as a copy"
-        for frame, first in zip(dataset.frames, copy_of, strict=True)
-        if first >= 0
+        f"{frame.label} holds the same pixels as {dataset.frames[first_row].label}, so that it is left out as a copy"
+        for frame, first_row in zip(dataset.frames, copy_of, strict=True)
+        if first_row >= 0
     ]
     more = [f"{len(remarks) - MAX_NAMED} more frames are copies"] if len(remarks) > MAX_NAMED else []
     return remarks[:MAX_NAMED] + more
@@ -173,12 +182,12 @@ def _name_copies(dataset: Dataset, copy_of: Sequence[int]) -> list[str]:
 def exclude_copies(dataset: Dataset, table: xr.Dataset) -> Dataset:
     """Return the dataset without the frames that its frames.nc calls copies, and without those with keep = no.
 
-    `table` is frames.nc, with one row for each frame of the dataset.
+    `table` is the content of frames.nc, with one row for each frame of the dataset in the same order.
     """
     rows = zip(dataset.frames, table["copy_of"].values, strict=True)
     return replace(dataset, frames=tuple(frame for frame, copy_of in rows if copy_of < 0 and frame.keep is not False))
 
 
 def read_full_scale(table: xr.Dataset) -> FullScale:
-    """Return the full scale of a dataset from its frames.nc."""
+    """Return the full scale of a dataset with its source, from the content of frames.nc; it has no remarks."""
     return FullScale(int(table["full_scale"]), str(table["full_scale"].attrs["source"]))

@@ -7,8 +7,9 @@ Brightness, width and position of each spot are compared with those of its sibli
 repeats of its condition, after the offset of its site is removed. If a condition has fewer than three repeats, the
 siblings are the neighbouring frames of the same site in a series of exposures or of positions along the beam.
 
-Only gross outliers are reported. Power fluctuation, drift and pointing jitter are a scatter that all frames share. This
-scatter sets the scale of the test here, and the verdict quantifies it.
+The quantities of a spot are ln light, ln width, x and y, in this order. Only gross outliers are reported. Power
+fluctuation, drift and pointing jitter are a scatter that all frames share. This scatter sets the scale of the test
+here, and the verdict quantifies it.
 """
 
 from collections import Counter
@@ -79,8 +80,8 @@ class OutlierFrame(NamedTuple):
 class _Comparison:
     """Deviations of frames from their siblings in ln light, ln width, x and y."""
 
-    deviation: np.ndarray  # deviation from the siblings [frame, quantity]; NaN if the frame was not compared
-    limit: np.ndarray  # largest deviation of a good frame [frame, quantity]; infinite if not tested
+    deviation: np.ndarray  # deviation from the siblings, [frame, quantity]; x and y in px; NaN if not compared
+    limit: np.ndarray  # largest deviation of a good frame, [frame, quantity]; infinite if not tested
     group: list[Hashable]  # label of the group of siblings of each frame, which includes the frame
 
 
@@ -105,6 +106,7 @@ def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None
     image = np.where(is_valid, crop, np.median(crop[is_valid])).astype(np.float32)
     is_border = np.ones(image.shape, bool)
     is_border[tuple(slice(1 + size // BORDER, -1 - size // BORDER) for size in image.shape)] = False
+    # Noise of a pixel [DN]; MEDIAN_DIFFERENCE is the median absolute difference of two pixels for a noise of 1.
     noise = float(np.median(np.abs(np.diff(image, axis=1)))) / MEDIAN_DIFFERENCE
     signal = median_filter_3x3(image) - np.median(image[is_border])
     rows, columns = np.nonzero((signal > max(LIT_OVER_NOISE * noise, FAINTEST_DN)) & is_valid)
@@ -115,6 +117,8 @@ def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None
     x, y = float(columns @ weights), float(rows @ weights)
     squared_radii = ((columns - x) ** 2 + (rows - y) ** 2) / 2
     variance = float(squared_radii @ weights)
+    # Noise of a pixel in a sum, relative to the light. Each error is this times the norm of the derivatives by the
+    # pixels, such as (r²/variance − 1)/2 for ln sigma.
     relative_noise = CORRELATED_NOISE * noise / light
     return SpotMoments(
         light=light,
@@ -152,6 +156,7 @@ def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None])
     indices = [index for (index, _), moment in zip(dataset.cells(), moments, strict=True) if moment is not None]
     values = np.array([(np.log(m.light), np.log(m.sigma), m.x, m.y) for _, m in measured])
     errors = np.array([(m.log_light_error, m.log_sigma_error, m.centre_error, m.centre_error) for _, m in measured])
+    # Frames are compared with repeats first; those without enough repeats, with their neighbours in a series.
     comparison = _compare_repeats(values, errors, indices, [axis.name for axis in dataset.axes].index("repeat"))
     comparison = _compare_neighbours(values, errors, indices, dataset, comparison)
     # Flag and reason of each measured frame, None for a good one.
@@ -177,8 +182,9 @@ def _compare_repeats(
 ) -> _Comparison:
     """Compare each frame with the repeats of its condition, after the offset of its site is removed.
 
-    `values` and their standard errors `errors` are [frame, quantity], with the quantities ln light, ln width, x and y;
-    `indices` are those of the frames on the grid. Conditions with fewer than `MIN_SIBLINGS` frames are not tested.
+    `values` and their standard errors `errors` are [frame, quantity]; `indices` are those of the frames on the grid,
+    and `repeat_axis` is the number of the axis of repeats. Conditions with fewer than `MIN_SIBLINGS` frames are not
+    tested.
     """
     conditions: list[Hashable] = [index[:repeat_axis] + index[repeat_axis + 1 :] for index in indices]
     # The second axis of the grid is the exposure.
@@ -216,7 +222,7 @@ def _compare_repeats(
 
 
 def _group_frames(labels: Sequence[Hashable], is_selected: np.ndarray) -> list[np.ndarray]:
-    """Return the numbers of the selected frames of each label that has at least `MIN_SIBLINGS` of them.
+    """Return, for each label with at least `MIN_SIBLINGS` selected frames, an array of the numbers of these frames.
 
     `labels` and `is_selected` are [frame]; a frame's number is its place there.
     """
@@ -227,20 +233,26 @@ def _group_frames(labels: Sequence[Hashable], is_selected: np.ndarray) -> list[n
 
 
 def _estimate_scatter(residuals: np.ndarray) -> np.ndarray:
-    """Return the robust standard deviation [quantity] of residuals [frame, quantity]; 0 without residuals."""
+    """Return the robust standard deviation [quantity] of residuals [frame, quantity] without NaN.
+
+    It is 0 if all residuals of a quantity are 0, or if there are none.
+    """
     # A residual of exactly 0 belongs to the frame that was the median, and has no information about the scatter.
     magnitudes = [np.sort(np.abs(column[column != 0])) for column in residuals.T]
-    # The lower of two middle values, which a single outlier among few frames raises less than their mean.
+    # For an even number, the lower middle value is taken and not the mean of both: one outlier among few frames raises
+    # it less.
     return np.array([MAD_TO_SIGMA * m[(len(m) - 1) // 2] if len(m) else 0.0 for m in magnitudes])
 
 
 def _limit_deviation(scatter: np.ndarray, errors: np.ndarray, degrees_of_freedom: float) -> np.ndarray:
-    """Return the largest deviation of a good frame, in the shape of its standard errors; infinite without freedom.
+    """Return the largest deviation of a good frame, in the shape of `errors`; infinite without degrees of freedom.
 
-    `scatter` [quantity] is that of all frames, estimated with so many degrees of freedom.
+    `scatter` [quantity] is that of all frames, estimated with `degrees_of_freedom`, and `errors` [quantity] or
+    [frame, quantity] are the standard errors by pixel noise. The limit is a quantile of Student's t distribution.
     """
     if degrees_of_freedom <= 0:
         return np.full(errors.shape, np.inf)
+    # A scatter that is known from few frames has heavier tails.
     distribution = stats.t(min(TAIL_FREEDOM, MAD_EFFICIENCY * degrees_of_freedom))
     return distribution.isf(FALSE_ALARM_RATE / QUANTITIES / 2) * np.hypot(scatter, errors)
 
@@ -250,20 +262,24 @@ def _compare_neighbours(
 ) -> _Comparison:
     """Compare frames without enough repeats with their neighbours in a series along the longest smooth axis.
 
-    `values` and `errors` are [frame, quantity], `indices` those of the frames on the grid, and `comparison` is the
-    result of `_compare_repeats`, which is completed. Outliers are removed one at a time, the worst first.
+    Return a copy of `comparison`, the result of `_compare_repeats`, in which frames without a deviation have that from
+    their series. Return it unchanged if no axis has more than 2 `MIN_NEIGHBOURS` places. `values` and `errors` are
+    [frame, quantity], `indices` those of the frames on the grid. Outliers are removed from the series one at a time,
+    the worst first; a removed frame keeps its deviation and limit.
     """
     is_pending = np.isnan(comparison.deviation).all(axis=1)
+    # An axis of labels has no values (None).
     lengths = {axis.name: axis.size for axis in dataset.axes if axis.name in SMOOTH_AXES and axis.values is not None}
     if not is_pending.any() or not lengths or max(lengths.values()) <= 2 * MIN_NEIGHBOURS:
         return comparison
     name = max(lengths, key=lambda name: lengths[name])
-    axis = [axis.name for axis in dataset.axes].index(name)
-    coordinates = np.array(dataset.axes[axis].values, float)
-    # The width is linear in ln t.
+    axis_number = [axis.name for axis in dataset.axes].index(name)
+    coordinates = np.array(dataset.axes[axis_number].values, float)
+    # ln light is linear in the logarithm of the exposure.
     coordinates = np.log(coordinates) if name == "exposure" else coordinates
-    position = np.array([coordinates[index[axis]] for index in indices])
-    labels: list[Hashable] = [(name, *index[:axis], *index[axis + 1 :]) for index in indices]
+    position = np.array([coordinates[index[axis_number]] for index in indices])
+    # A series is labelled by its axis and by the places on all other axes.
+    labels: list[Hashable] = [(name, *index[:axis_number], *index[axis_number + 1 :]) for index in indices]
     # Numbers of the frames of each series, in the order of their positions.
     series = [frames[np.argsort(position[frames])] for frames in _group_frames(labels, is_pending)]
     deviation, limit, group = comparison.deviation.copy(), comparison.limit.copy(), list(comparison.group)
@@ -272,11 +288,12 @@ def _compare_neighbours(
     while True:
         for frames in series:
             deviation[frames] = _subtract_interpolation(position[frames], values[frames])
+        # Frames with a neighbour on both sides.
         inner = np.concatenate([frames[1:-1] for frames in series]) if series else np.zeros(0, int)
         if not len(inner):
             break
         limit[inner] = _limit_deviation(_estimate_scatter(deviation[inner]), errors[inner], len(inner))
-        # The width is not linear in the position near a waist, so it is not tested.
+        # Near a waist, the width is not linear in the position. It is therefore not tested, along either axis.
         limit[inner, WIDTH] = np.inf
         worst = inner[int(np.argmax((np.abs(deviation[inner]) / limit[inner]).max(axis=1)))]
         if _classify(deviation[worst], limit[worst], float(np.exp(values[worst, WIDTH]))) is None:
@@ -300,10 +317,11 @@ def _subtract_interpolation(position: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def _classify(deviation: np.ndarray, limit: np.ndarray, sigma: float) -> tuple[str, str] | None:
-    """Return flag and reason of a frame; None if it is no gross outlier.
+    """Return flag and reason of a frame; None unless a quantity is beyond both its gross limits and its `limit`.
 
-    `deviation` and `limit` [quantity] are those of `_Comparison`, `sigma` is the width of its spot [px]. Light is
-    tested first: a spot that lacks part of its light is displaced as well.
+    `deviation` and `limit` [quantity] are those of `_Comparison`, `sigma` is the width of its spot [px]. Of several
+    quantities beyond their gross limits, the first of light, width and shift gives the flag, even if only another one
+    is beyond `limit`: a spot that lacks part of its light is displaced as well.
     """
     # A quantity without a limit was not tested.
     tested_deviation = np.where(np.isfinite(limit), deviation, 0.0)
@@ -311,6 +329,7 @@ def _classify(deviation: np.ndarray, limit: np.ndarray, sigma: float) -> tuple[s
     # Light and width relative to the siblings, and distance from them [px].
     light, width, distance = float(np.exp(log_light)), float(np.exp(log_width)), float(np.hypot(*shift))
     is_gross_light, is_gross_width = not MIN_LIGHT <= light <= MAX_LIGHT, not MIN_WIDTH <= width <= MAX_WIDTH
+    # sigma/width is the width of the siblings [px].
     is_gross_shift = distance > MAX_SHIFT * sigma / width
     # The shift is significant if it is so along either axis.
     is_significant = np.abs(tested_deviation) > limit

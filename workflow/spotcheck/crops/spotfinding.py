@@ -1,4 +1,8 @@
-"""Find the spot in a frame, and cut out a crop around it."""
+"""Find the spot in a frame, and cut out a crop around it.
+
+A crop is a square image with the spot at its centre. A compact peak is a bright place that a minimum filter over a few
+neighbouring pixels preserves, unlike single hot pixels.
+"""
 
 from typing import NamedTuple
 
@@ -10,6 +14,8 @@ from spotcheck.dataset.frames import average_blocks
 
 # Side of the blocks [px] into which the frame is divided for the coarse search.
 SEARCH_PX = 16
+# Step between the pixels along both axes from which the background is estimated [px].
+SAMPLE_STEP = 8
 # Side of the first window in blocks: a block, its eight neighbours, and half a block on each side for the spot's flank.
 WINDOW_BLOCKS = 4
 # Smallest peak after the median filter, in noise of single pixels. The largest of 1e5 medians of nine reaches 1.9. The
@@ -41,7 +47,7 @@ class _Peak(NamedTuple):
 
 
 def find_brightest_pixel(pixels: np.ndarray) -> Spot:
-    """Return the brightest pixel of a frame [row, column] (Section 3.1.1); NaN pixels are left out.
+    """Return the brightest pixel of a frame [row, column], as in Section 3.1.1 of the paper; NaN pixels are left out.
 
     It is the left-most of several equal ones, and the top-most of these.
     """
@@ -61,25 +67,28 @@ def find_light_centroid(pixels: np.ndarray, window_px: int) -> Spot:
     ----------
     pixels : array [rows, columns]
         Readings [DN]; NaN pixels are replaced by the median of their neighbours. The background is the median of
-        every eighth pixel.
+        every `SAMPLE_STEP`th pixel along both axes.
     window_px : int
         Side of the window in which the centroid is computed [px].
     """
     pixels = _fill_gaps(pixels)
     square, compact = _filter_minima(pixels)
-    sample = pixels[::8, ::8]
+    sample = pixels[::SAMPLE_STEP, ::SAMPLE_STEP]
     background = float(np.median(sample))
-    # Differences of neighbours are free of structure, also if a black level of 0 clips half of the noise.
+    # Every fourth row and eighth column is enough. The difference of two neighbours hardly contains the spot.
     noise = float(np.median(np.abs(pixels[::4, :-1:8].astype(float) - pixels[::4, 1::8]))) / MEDIAN_DIFFERENCE
     faintest = MIN_INTEGER_PEAK_DN if np.array_equal(sample, np.rint(sample)) else 0.0
     threshold = max(MIN_PEAK * noise, faintest)
+    # The spot at the brightest block, and the height of the highest compact peak [DN].
     broad = _find_peak(pixels, _find_brightest_block(square), window_px, background, threshold)
     row, column = map(int, np.unravel_index(np.argmax(compact), compact.shape))
     compact_height = float(compact[row, column]) - background
+    # The block shows the spot if this stands out in its window, or is not much lower than the compact peak.
     if broad is not None and (broad.contrast > threshold or 2 * broad.height > compact_height):
         return broad.spot
     if compact_height <= max(MIN_COMPACT_PEAK * noise, faintest):
         return Spot(pixels.shape[0] // 2, pixels.shape[1] // 2, False) if broad is None else broad.spot
+    # A spot that the median filter flattens to less than half is located at the compact peak itself.
     narrow = _find_peak(pixels, (row, column), window_px, background, threshold)
     return Spot(row, column, True) if narrow is None or 2 * narrow.height < compact_height else narrow.spot
 
@@ -126,7 +135,8 @@ def _filter_minima(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _find_brightest_block(square: np.ndarray) -> tuple[int, int]:
     """Return row and column [px] of the centre of the block that has the most light together with its neighbours.
 
-    `square` is that of `_filter_minima`. The centre of a block at the end may lie beyond it.
+    `square` [rows − 1, columns − 1] in DN is that of `_filter_minima`. The last blocks are filled by repeating the
+    border pixels, so that their centre may lie beyond the image.
     """
     side = min(SEARCH_PX, *square.shape)
     padding = [(0, -length % side) for length in square.shape]
@@ -186,7 +196,10 @@ def _sort_three(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray
 
 
 def cut_crop(pixels: np.ndarray, spot: Spot, side: int) -> np.ndarray:
-    """Return the crop [side, side] as float32 with the spot at pixel (side//2, side//2); NaN outside the frame."""
+    """Return the crop [side, side] of a frame [row, column] in DN as float32, NaN outside the frame.
+
+    The spot is at pixel (side//2, side//2), also if the crop reaches beyond the frame.
+    """
     crop = np.full((side, side), np.nan, np.float32)
     top, left = spot.row - side // 2, spot.column - side // 2
     rows = slice(max(top, 0), min(top + side, pixels.shape[0]))

@@ -1,6 +1,7 @@
 """Find bad pixels of the sensor: outlying pixels that many fits have left out.
 
-A pixel of a crop is outlying if no light explains its reading beside those of its neighbours; fits leave it out.
+A crop is the image around a spot. A pixel of a crop is outlying if the light of its neighbours does not explain its
+reading; fits leave it out. Crops and fits lie on a grid of conditions, with one frame in a cell.
 """
 
 from collections import Counter
@@ -35,12 +36,11 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
     centred = crops.sel(centring="light")
     flags = fits["status"].sel(centring="light", fit="likelihood")
     # Number of fits that left out each column x, row y and single pixel (x, y) of the sensor.
-    columns: Counter[int] = Counter()
-    rows: Counter[int] = Counter()
-    pixels: Counter[tuple[int, int]] = Counter()
+    columns, rows, pixels = Counter[int](), Counter[int](), Counter[tuple[int, int]]()
     # Column and row of the sensor under the upper left pixel of each crop [fit].
     corners = []
     for index in iterate_cells(centred, store.grid_dims(crops)):
+        # The status of a fit is a set of bits; `left_out` means that it left out outlying pixels.
         if not int(flags.isel(index)) & store.flag("left_out"):
             continue
         crop = centred.isel(index)
@@ -54,9 +54,10 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
     side = centred.sizes["x"]
 
     def covers(starts: np.ndarray, place: int) -> np.ndarray:
-        """Return a mask [fit], True where a crop, which starts at `starts` [fit], covers the column or row `place`."""
+        """Return a mask [fit], True where a crop with the first column or row `starts` [fit] covers `place`."""
         return (starts <= place) & (place < starts + side)
 
+    # No mask file, but lists of columns, rows and pixels.
     bad = BadPixels(
         None,
         tuple(x for x in sorted(columns) if _is_frequent(columns[x], covers(lefts, x))),
@@ -67,5 +68,5 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
 
 
 def _is_frequent(count: int, covers: np.ndarray) -> bool:
-    """Return whether `count` fits, which left out a place, are enough; `covers` says whose crop covers it [fit]."""
+    """Return whether `count` fits that left out a place make it bad; `covers` [fit] is True where a crop covers it."""
     return count >= max(MIN_FITS, MIN_SHARE * np.count_nonzero(covers))

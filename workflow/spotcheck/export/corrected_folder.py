@@ -1,7 +1,8 @@
 """Write a folder of corrected frames: float TIFF files of two pages, electrons and their variance, and a manifest.
 
 An effect is a deviation of the frames from the baseline model that the verdict detected; its variant, called `form` in
-files, is one of several formulas for it.
+files, is one of several formulas for it. The vocabulary is the known effects by name. verdict.json holds the detected
+effects, and model.yaml the model that has them. A results folder has the results of one dataset.
 """
 
 import csv
@@ -63,8 +64,7 @@ class Calibration(NamedTuple):
 
 def read_calibration(results: Path) -> Calibration:
     """Return the calibration in a results folder. Raises `InputError` if it has no gain and read noise."""
-    has_sensor = (results / "sensor.nc").is_file()
-    sensor = read_sensor(results) if has_sensor else _read_transfer_sensor(results)
+    sensor = read_sensor(results) if (results / "sensor.nc").is_file() else _read_transfer_sensor(results)
     if sensor is None:
         raise InputError(
             f"{results}: holds no gain and read noise; use results that do, such as those of flats and darks"
@@ -79,19 +79,23 @@ def read_calibration(results: Path) -> Calibration:
 
 
 def _read_transfer_sensor(results: Path) -> SensorModel | None:
-    """Return the sensor of transfer.nc, from flats and darks alone; None if gain, noise or black level is unknown."""
+    """Return the sensor of transfer.nc, from flats and darks alone, with the full scale of frames.nc beside it.
+
+    None without transfer.nc, or if gain, read noise or black level is unknown (NaN).
+    """
     if not (results / "transfer.nc").is_file():
         return None
     with store.read(results / "transfer.nc") as ds, store.read(results / "frames.nc") as table:
         quantities, full_scale = read_quantities(ds), float(table["full_scale"])
-        curvature = float(ds.attrs["response_bend"])
+        # Coefficient of the curvature of the response [1], see `SensorModel`.
+        bend = float(ds.attrs["response_bend"])
     names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
     values = {name: quantities[EMVA_NAMES[name]].value for name in names}
     if not np.isfinite(list(values.values())).all():
         return None
     # Noise can make the estimate negative; an unknown dark current (NaN) counts as 0.
     dark_current = max(np.nan_to_num(quantities[EMVA_NAMES["dark_current_e_per_s"]].value), 0.0)
-    return SensorModel(**values, dark_current_e_per_s=dark_current, full_scale_dn=full_scale, response_bend=curvature)
+    return SensorModel(**values, dark_current_e_per_s=dark_current, full_scale_dn=full_scale, response_bend=bend)
 
 
 def _read_sensor_effects(results: Path) -> list[AppliedEffect]:
@@ -123,6 +127,7 @@ def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: P
     """
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty; name a new folder, nothing is overwritten")
+    # `rows` are those of the new manifest, which names the source of each frame.
     curve, rows = compute_response_curve(calibration.sensor, calibration.effects), []
     # All pages of a stack have the digest of one file.
     digest = cache(provenance.file_digest)
@@ -136,7 +141,8 @@ def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: P
         description = _describe(dataset, frame, calibration, digest(dataset.folder / frame.path))
         _write_tiff(folder / name, corrected, description)
         condition = ["" if value is None else value for value in (frame.angle_deg, frame.exposure_s, frame.repeat)]
-        rows.append([name, frame.kind, *condition, *frame.extra.values(), frame.file, frame.page, corrected.clipped])
+        row = [name, frame.kind, *condition, *frame.extra.values()]
+        rows.append([*row, frame.file, frame.page, corrected.clipped_count])
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow([*REQUIRED_COLUMNS, *dataset.frames[0].extra, "source", "source_page", "clipped_px"])
@@ -175,7 +181,10 @@ def name_corrected_frames(manifest: Sequence[Frame]) -> list[str]:
 
 
 def _describe(dataset: Dataset, frame: Frame, calibration: Calibration, sha256: str) -> dict[str, Any]:
-    """Return the description of a corrected file, which is written as JSON; `sha256` is the digest of its source."""
+    """Return the description of a corrected file: its source with the digest `sha256`, sensor, effects, maps, results.
+
+    It is written as JSON, so unknown and infinite values are left out.
+    """
     maps = calibration.maps
     return {
         "made_by": f"spotcheck correct {spotcheck.__version__}",
@@ -198,7 +207,11 @@ def _describe(dataset: Dataset, frame: Frame, calibration: Calibration, sha256: 
 
 
 def _write_tiff(path: Path, frame: CorrectedFrame, description: dict[str, Any]) -> None:
-    """Write the two pages of a frame as a TIFF with 32-bit floats, atomically; equal frames give equal bytes."""
+    """Write electrons and variance of a frame as two pages of a TIFF with 32-bit floats, atomically.
+
+    The first page has the description as JSON, the second one its name. No date or software tag is written, so that
+    equal frames and descriptions give equal bytes.
+    """
     with write_atomically(path) as scratch, tifffile.TiffWriter(scratch) as tiff:
         for page, text in ((frame.electrons, json.dumps(description)), (frame.variance, PAGES[1])):
             tiff.write(page.astype(np.float32), compression="zlib", photometric="minisblack", description=text,

@@ -25,6 +25,8 @@ from spotcheck.sensor.pixel_maps import PixelMaps
 CURVE_POINTS, MAX_LIGHT = 8192, 1.5
 # A signal is clipped where the slope of the response curve [1] is smaller.
 MIN_SLOPE = 0.5
+# Least slope of the well in a divisor.
+MIN_WELL_SLOPE = 1e-12
 # A signal is clipped if it is closer to the full well than this many standard deviations of the read noise.
 WELL_MARGIN = 3.0
 # Largest reading [DN] of a sensor without a full scale: that of 16-bit files.
@@ -38,8 +40,8 @@ class ResponseCurve:
     light: np.ndarray  # light [DN], shape (points,), ascending from 0
     signal: np.ndarray  # mean reading above the black level [DN], shape (points,)
     slope: np.ndarray  # derivative of the signal by the light [1], shape (points,)
-    converter_slope: np.ndarray  # derivative of the signal by the charge as light [1], shape (points,)
-    clipped: float  # smallest signal that counts as clipped [DN]
+    converter_slope: np.ndarray  # derivative of the signal by gain × charge [1], shape (points,)
+    clipping_signal: float  # smallest signal that counts as clipped [DN]
 
 
 @dataclass(frozen=True)
@@ -48,11 +50,14 @@ class CorrectedFrame:
 
     electrons: np.ndarray  # electrons of the light [e-], shape (rows, columns)
     variance: np.ndarray  # variance of the electrons [e-²], shape (rows, columns)
-    clipped: int  # number of clipped pixels
+    clipped_count: int  # number of clipped pixels
 
 
 def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]) -> ResponseCurve:
-    """Return the response curve of a sensor with full well and detected effects on well and response."""
+    """Return the response curve of a sensor with the detected effects on well and response.
+
+    The full well of the data sheet sets the clipping signal only. The dark current is no part of the curve.
+    """
     gain = sensor.gain_dn_per_e
     full_scale = sensor.full_scale_dn if np.isfinite(sensor.full_scale_dn) else DEFAULT_FULL_SCALE_DN
     light = np.linspace(0.0, MAX_LIGHT * full_scale, CURVE_POINTS)
@@ -61,9 +66,10 @@ def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]
     # Only the stages of the sensor count, so the baseline, which describes the spot, is arbitrary.
     model = ForwardModel(Baseline(0.0, "free", False, 1.0), without_well, None, tuple(effects))
     distribution = model.distribution()
+    # Charge behind the well, times the gain [DN].
     charge_dn = distribution.charge_signal(light / gain)
     if distribution.charge_levels:
-        # Mean over pixels whose charge stops at different levels.
+        # Mean over pixels whose charge stops at different levels [DN]; the shares of the pixels sum to 1.
         charge_dn = sum(share * np.minimum(charge_dn, level) for share, level in distribution.charge_levels)
     signal = distribution.converter_signal(charge_dn) - sensor.black_level_dn
     well_slope, slope = np.gradient(charge_dn, light), np.gradient(signal, light)
@@ -79,7 +85,7 @@ def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]
         limits.append(float(np.interp(gain * sensor.full_well_e, light, signal)) - margin)
     usable = slice(first_flat or CURVE_POINTS)
     # Chain rule: the slopes of well and converter multiply.
-    converter_slope = slope[usable] / np.maximum(well_slope[usable], 1e-12)
+    converter_slope = slope[usable] / np.maximum(well_slope[usable], MIN_WELL_SLOPE)
     return ResponseCurve(light[usable], signal[usable], slope[usable], converter_slope, min(limits))
 
 
@@ -92,9 +98,9 @@ def correct_frame(
 ) -> CorrectedFrame:
     """Return a frame in electrons of the light.
 
-    The variance contains shot noise, read noise, rounding and the errors of the maps (EMVA 1288 linear model). The shot
-    noise is taken from the reading instead of its mean. Errors of gain and black level are excluded, as all pixels
-    share them.
+    The variance adds up shot noise, read noise, rounding and the errors of the maps as EMVA 1288 does, each divided by
+    the slope of the response that it passes. The shot noise is taken from the reading instead of its mean. Errors of
+    gain and black level are excluded, as all pixels share them.
 
     Parameters
     ----------
@@ -105,27 +111,27 @@ def correct_frame(
     curve : ResponseCurve
         Response of the same sensor.
     maps : PixelMaps, optional
-        Offset [DN] and relative gain [1] of each pixel; without them all pixels are alike.
+        Offset [DN] and relative gain [1] of each pixel, with the standard errors of one pixel; without them all pixels
+        are alike.
     exposure_s : float, optional
         Exposure time [s]; without it no dark current is subtracted.
     """
     maps = PixelMaps(np.zeros(()), np.ones(())) if maps is None else maps
     gain = sensor.gain_dn_per_e
     signal = image - sensor.black_level_dn - maps.offset_dn
-    clipped = (signal >= curve.clipped) | (image >= sensor.full_scale_dn)
+    is_clipped = (signal >= curve.clipping_signal) | (image >= sensor.full_scale_dn)
     light = np.interp(signal, curve.signal, curve.light)
-    # Noise below black is extrapolated linearly.
+    # Readings below black continue the first segment of the curve, where `interp` would give 0.
     light = np.where(signal < curve.signal[0], (signal - curve.signal[0]) / curve.slope[0], light)
     slope, converter_slope = (np.interp(light, curve.light, values) for values in (curve.slope, curve.converter_slope))
-    charge_e = light / gain
-    electrons = (charge_e - sensor.dark_current_e_per_s * (exposure_s or 0.0)) / maps.gain
+    # Electrons of light and dark current without a full well [e-].
+    unlimited_e = light / gain
+    electrons = (unlimited_e - sensor.dark_current_e_per_s * (exposure_s or 0.0)) / maps.gain
     # Read noise is added behind the well; rounding and offsets are added behind the converter.
-    variance = np.maximum(charge_e, 0.0) + (sensor.read_noise_e * converter_slope / slope) ** 2
+    variance = np.maximum(unlimited_e, 0.0) + (sensor.read_noise_e * converter_slope / slope) ** 2
     variance += (ROUNDING_VARIANCE + maps.offset_stderr_dn**2) / (gain * slope) ** 2
+    # The second term would be divided by maps.gain², which is close to 1.
     variance = variance / maps.gain**2 + electrons**2 * maps.gain_stderr**2
-    invalid = clipped | np.isnan(electrons)
-    return CorrectedFrame(
-        electrons=np.where(invalid, np.nan, electrons),
-        variance=np.where(invalid, np.nan, variance),
-        clipped=int(np.count_nonzero(clipped)),
-    )
+    is_invalid = is_clipped | np.isnan(electrons)
+    electrons, variance = (np.where(is_invalid, np.nan, values) for values in (electrons, variance))
+    return CorrectedFrame(electrons, variance, clipped_count=int(np.count_nonzero(is_clipped)))

@@ -2,7 +2,9 @@
 
 The file describes the instrument and not the dataset: it has no name, conditions or crop. Each learned value has a
 comment with its error, its source and the value of the data sheet. A key is "section.name", such as
-sensor.gain_dn_per_e. The data sheet is what the dataset's own instrument.yaml states.
+sensor.gain_dn_per_e. The data sheet is what the dataset's own instrument.yaml states. A choice is the decision on one
+learned value, with `is_adopted` and `reason`; its `learned` has key, value, standard error, unit and source. An unused
+result is a result that no key can hold. A digest is the SHA-256 of a file.
 """
 
 import json
@@ -55,19 +57,19 @@ def write_instrument_file(
     InputError
         If a file already exists.
     """
-    adopted = {choice.learned.key: choice for choice in choices if choice.is_adopted}
+    adopted_choices = {choice.learned.key: choice for choice in choices if choice.is_adopted}
     light_path = path.with_name(f"{path.stem}-light.nc")
-    has_light = "light.profile" in adopted
+    has_light = "light.profile" in adopted_choices
     for file in (path, *([light_path] if has_light else [])):
         if file.exists():
             raise InputError(f"{file}: is already there; name a new file, nothing is overwritten")
     path.parent.mkdir(parents=True, exist_ok=True)
     if has_light:
         with store.write_with_sidecar(light_path) as scratch:
-            shutil.copyfile(adopted["light.profile"].learned.value, scratch)
+            shutil.copyfile(adopted_choices["light.profile"].learned.value, scratch)
     lines = [*_format_head(results)]
     for section in SECTIONS:
-        if rows := list(_format_section(path, section, adopted, instrument, light_path.name)):
+        if rows := list(_format_section(path, section, adopted_choices, instrument, light_path.name)):
             lines += [f"{section}:", *(f"  {row}" for row in rows)]
     rejected = [
         f"{choice.learned.key}: learned {format_value(choice)}, {choice.learned.source}: {choice.reason}"
@@ -91,7 +93,7 @@ def _format_head(results: Path) -> Iterator[str]:
 
 
 def _format_section(
-    path: Path, section: str, adopted: Mapping[str, Choice], instrument: Instrument, light_name: str
+    path: Path, section: str, adopted_choices: Mapping[str, Choice], instrument: Instrument, light_name: str
 ) -> Iterator[str]:
     """Yield the lines of a section without its header, in the order of the schema; none if nothing is known.
 
@@ -101,35 +103,42 @@ def _format_section(
         File to write, to which paths of other files become relative.
     section : str
         Name of the section.
-    adopted : mapping of str to Choice
+    adopted_choices : mapping of str to Choice
         Decisions to adopt a value, by key. Bad pixels are adopted as a whole, by the name of their section.
     instrument : Instrument
         Data sheet, for keys that have no adopted value.
     light_name : str
         Name of the file with the light shape, which lies beside `path`.
     """
-    if section in adopted:
-        learned = adopted[section].learned
+    if section in adopted_choices:
+        learned = adopted_choices[section].learned
         yield f"# {learned.source}"
-        yield from (f"{key}: {_format_yaml(key, value, path)}" for key, value in asdict(learned.value).items() if value)
+        # A dataclass, whose fields have the names of the keys; empty ones are left out.
+        fields = {name: value for name, value in asdict(learned.value).items() if value}
+        yield from (f"{name}: {_format_yaml(name, value, path)}" for name, value in fields.items())
         return
-    for key in read_schema("instrument")["properties"][section]["properties"]:
-        name = f"{section}.{key}"
-        if name in adopted:
-            choice = adopted[name]
-            text = _format_yaml(key, light_name if key == "profile" else choice.learned.value, path)
-            yield f"{key}: {text}  # learned: {format_value(choice)}, {choice.learned.source}; {_explain(choice)}"
-        elif key.endswith("_stderr") and name.removesuffix("_stderr") in adopted:
-            stderr = adopted[name.removesuffix("_stderr")].learned.stderr
+    for name in read_schema("instrument")["properties"][section]["properties"]:
+        key = f"{section}.{name}"
+        if key in adopted_choices:
+            choice = adopted_choices[key]
+            text = _format_yaml(name, light_name if name == "profile" else choice.learned.value, path)
+            yield f"{name}: {text}  # learned: {format_value(choice)}, {choice.learned.source}; {_explain(choice)}"
+        # The stated error of an adopted value does not apply any more; an unknown one (NaN) is left out.
+        elif name.endswith("_stderr") and key.removesuffix("_stderr") in adopted_choices:
+            stderr = adopted_choices[key.removesuffix("_stderr")].learned.stderr
             if np.isfinite(stderr):
-                yield f"{key}: {stderr:.{ERROR_DIGITS}g}"
-        elif name in instrument.given_keys:
-            yield f"{key}: {_format_yaml(key, getattr(getattr(instrument, section), key), path)}"
+                yield f"{name}: {stderr:.{ERROR_DIGITS}g}"
+        elif key in instrument.given_keys:
+            yield f"{name}: {_format_yaml(name, getattr(getattr(instrument, section), name), path)}"
 
 
-def _format_yaml(key: str, value: Any, path: Path) -> str:
-    """Return the value of a key as YAML; absolute paths become relative to the folder of the new file `path`."""
-    if key in ("profile", "mask") and Path(value).is_absolute():
+def _format_yaml(name: str, value: Any, path: Path) -> str:
+    """Return the value of a key as YAML; `name` is the key without its section.
+
+    The values of `profile` and `mask` are paths of files: absolute ones become relative to the folder of the new file
+    `path`. Finite floats are rounded to `DIGITS`. Learned values are finite, other values are those of the data sheet.
+    """
+    if name in ("profile", "mask") and Path(value).is_absolute():
         value = os.path.relpath(value, path.parent.resolve())
     if isinstance(value, float) and np.isfinite(value):
         return f"{value:.{DIGITS}g}"

@@ -4,9 +4,12 @@ Sensor parameters come from transfer.nc, sensor.nc and verdict.json, the light s
 the fits. Detected effects set keys through `Effect.instrument_keys`.
 
 A key is "section.name" of instrument.yaml, such as sensor.gain_dn_per_e. The data sheet is what the dataset's own
-instrument.yaml states. An effect is a deviation from the baseline model that the verdict detected; `form` names its
-variant. `levels` of verdict.json, which only datasets of flats and darks have, holds the gain fitted together with the
-effects.
+instrument.yaml states. A verdict, stored in verdict.json, is the judgement of a dataset. Its `effects` are the detected
+deviations from the baseline model. Each has its variant (`form`), parameters, and `candidates`: itself and the effects
+that explain the frames as well. Its `levels`, which only datasets of flats and darks have, holds the gain fitted
+together with the effects. Its `light` describes the learned light shape in words, its `sheet` lists the revised sensor
+parameters. The vocabulary is the known effects by name. A learned light shape is the profile of the light that the
+frames show, in light.nc.
 """
 
 import json
@@ -116,6 +119,7 @@ def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
     if (results / "frames.nc").is_file():
         with store.read(results / "frames.nc") as table:
             full_scale, source = int(table["full_scale"]), str(table["full_scale"].attrs["source"])
+        # The source starts with this word only if clipped frames show the value.
         if source.startswith(FROM_FRAMES):
             yield LearnedValue("sensor.full_scale_dn", full_scale, np.nan, "DN", f"{source} (frames.nc)")
 
@@ -123,7 +127,8 @@ def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
 def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     """Yield the sensor parameters from spots, then those from flats and darks, which are more accurate.
 
-    Both are in sensor.nc; transfer.nc has those of flats and darks alone and is read without it.
+    Both are in sensor.nc, with the value and standard error of each source in the variables `_by` and `_by_stderr`. If
+    there is no sensor.nc, those of flats and darks are read from transfer.nc.
     """
     names = [name for name in EMVA_NAMES if name not in ONLY_FROM_SHEET]
     estimates, file = [], "sensor.nc"
@@ -148,7 +153,10 @@ def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
 
 
 def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:
-    """Yield the sensor parameters that the verdict fitted to all frames together, with the data sheet as a prior."""
+    """Yield the sensor parameters that the verdict fitted to all frames together, with the data sheet as a prior.
+
+    A parameter replaces the stated value if it contradicts it. `found`, the fitted value, is never missing.
+    """
     source = "data sheet and all frames together (verdict.json)"
     for entry in verdict.get("sheet") or ():
         key, stderr = f"sensor.{entry['name']}", _to_float(entry["stderr"])
@@ -160,7 +168,8 @@ def _update_sensor(
 ) -> SensorModel | None:
     """Return the sensor of sensor.nc with all learned values in place of its own.
 
-    Without sensor.nc (None) it starts from the gain of `levels` in verdict.json; None if that is missing too.
+    Without sensor.nc (None) it starts from the gain of `levels` in verdict.json; None if that is missing too. Its read
+    noise is then 0 unless it was learned.
     """
     if sensor is None:
         gain = (verdict.get("levels") or {}).get("gain_dn_per_e", {}).get("value")
@@ -212,14 +221,16 @@ def _derive_keys(applied: AppliedEffect, errors: Mapping[str, float], sensor: Se
 
     `errors` are the standard errors of the parameters by name; parameters count as uncorrelated.
     """
-    # The effect with one parameter changed at a time.
-    varied = [
+    # The effect with one parameter changed at a time, by a part of its standard error.
+    varied_effects = [
         applied.with_value(name, applied.parameters[name] + DERIVATIVE_STEP * error) for name, error in errors.items()
     ]
     for key, value in applied.instrument_keys(sensor).items():
         # Derivative by each parameter, times its standard error.
-        changes = [(other.instrument_keys(sensor).get(key, np.nan) - value) / DERIVATIVE_STEP for other in varied]
-        # A key that does not depend on the parameters has no known error.
+        changes = [
+            (other.instrument_keys(sensor).get(key, np.nan) - value) / DERIVATIVE_STEP for other in varied_effects
+        ]
+        # A key whose value does not depend on the parameters has no known error: 0 becomes NaN.
         stderr = float(np.hypot.reduce(changes)) or np.nan
         # Full scale is an integer.
         value = round(value) if key == "sensor.full_scale_dn" else value
@@ -230,7 +241,8 @@ def _derive_keys(applied: AppliedEffect, errors: Mapping[str, float], sensor: Se
 def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float) -> Iterator[LearnedValue]:
     """Yield the gain of flats [DN/e-] that was fitted together with the effects, and quantities in electrons by it.
 
-    Nothing if no gain was learned before, which would be replaced.
+    Nothing is yielded if `values`, the learned values by key, contain no gain that could be replaced. The error of the
+    gain is not propagated to the quantities in electrons.
     """
     previous = values.get("sensor.gain_dn_per_e")
     if previous is None:
@@ -251,7 +263,7 @@ def _reject_linear(quantity: LearnedValue) -> UnusedResult:
 
 
 def _read_unit(key: str) -> str:
-    """Return the unit of a key "section.name", which its description in the schema has in brackets; "1" without."""
+    """Return the unit of a key: the text in square brackets of its description in the schema, "1" if there is none."""
     section, _, name = key.partition(".")
     description = read_schema("instrument")["properties"][section]["properties"][name]["description"]
     match = re.search(r"\[(.+?)\]", description)
@@ -259,15 +271,17 @@ def _read_unit(key: str) -> str:
 
 
 def _read_light(results: Path, verdict: Mapping[str, Any]) -> LearnedValue | UnusedResult | None:
-    """Return the file of the learned light shape; unused if there is one for each pose, None if there is none."""
+    """Return the path of light.nc as a learned value if it holds one light shape; None if the verdict learned none.
+
+    The result is unused if the file holds a shape for each pose, that is each orientation of the sample.
+    """
     if not verdict.get("light"):
         return None
     count = len(read_lights(results / LIGHT))
     description = verdict["light"]["words"]
     if count > 1:
-        return UnusedResult(
-            "light", description, f"it differs from pose to pose ({count} shapes), and an instrument has one"
-        )
+        reason = f"it differs from pose to pose ({count} shapes), and an instrument has one"
+        return UnusedResult("light", description, reason)
     return LearnedValue("light.profile", results / LIGHT, np.nan, "", f"{description} (light.nc)", overrules=True)
 
 
@@ -285,9 +299,8 @@ def _collect_bad_pixels(results: Path, instrument: Instrument, sensor: SensorMod
     declared = instrument.bad_pixels
     names = ("columns", "rows", "pixels")
     merged: dict[str, Any] = {name: tuple(sorted({*getattr(declared, name), *getattr(bad, name)})) for name in names}
-    return LearnedValue(
-        "bad_pixels", replace(declared, **merged), np.nan, "", f"left out of {count} fits (fits.nc)", overrules=True
-    )
+    source = f"left out of {count} fits (fits.nc)"
+    return LearnedValue("bad_pixels", replace(declared, **merged), np.nan, "", source, overrules=True)
 
 
 def _to_float(value: float | None, missing: float = np.nan) -> float:

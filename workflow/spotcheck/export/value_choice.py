@@ -3,7 +3,7 @@
 A key is "section.name" of instrument.yaml. The data sheet is what the dataset's own instrument.yaml states. A learned
 value is adopted if the data sheet does not state the key, if the results contradict the sheet, or if the standard error
 of the learned value is smaller. A value from spots alone never replaces a stated one, since the texture of the material
-looks like noise.
+looks like noise. Files and bad pixels are always adopted.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ class Choice:
     """Decision on one learned value."""
 
     learned: LearnedValue  # value that the results give
-    stated: float | None  # value of the data sheet; None if it has none
+    stated: float | None  # value of the data sheet; None if it has none, and for files and bad pixels
     stated_stderr: float  # standard error of `stated`, in its unit; 0 if the sheet gives none
     is_adopted: bool  # whether the learned value is written
     reason: str  # why it is adopted or not, in words
@@ -44,20 +44,27 @@ def choose_values(learned: Sequence[LearnedValue], instrument: Instrument) -> li
 
 
 def _choose(learned: LearnedValue, instrument: Instrument) -> Choice:
-    """Return the decision on a value: files and bad pixels are adopted always, numbers if they are valid and better."""
+    """Return the decision on a value: files and bad pixels are adopted always, numbers if `_compare` prefers them.
+
+    A number that the schema of instrument.yaml does not allow is not adopted.
+    """
     section, _, name = learned.key.partition(".")
     if not name or not isinstance(learned.value, int | float):
         return Choice(learned, None, 0.0, True, "learned beside what the sheet states")
-    sheet = getattr(instrument, section)
-    stated = getattr(sheet, name) if learned.key in instrument.given_keys else None
-    stated_stderr = float(getattr(sheet, f"{name}_stderr", 0.0)) if stated is not None else 0.0
+    stated_section = getattr(instrument, section)
+    stated = getattr(stated_section, name) if learned.key in instrument.given_keys else None
+    stated_stderr = float(getattr(stated_section, f"{name}_stderr", 0.0)) if stated is not None else 0.0
     violation = find_violation({section: {name: learned.value}}, "instrument")
     is_adopted, reason = (False, violation) if violation else _compare(learned, stated, stated_stderr)
     return Choice(learned, stated, stated_stderr, is_adopted, reason)
 
 
 def _compare(learned: LearnedValue, stated: float | None, stated_stderr: float) -> tuple[bool, str]:
-    """Return whether a learned number replaces the stated one (None if there is none), and why."""
+    """Return whether a learned number replaces the stated one (None if there is none), and why.
+
+    `stated_stderr` is 0 if the data sheet gives no error. Numbers contradict each other if they differ by more than
+    `CLEAR_ERRORS` standard errors of the difference.
+    """
     if stated is None:
         return True, "the sheet does not say"
     if learned.overrules:
