@@ -130,8 +130,7 @@ def correct_frame(
     # Read noise is added behind the well; rounding and offsets are added behind the converter.
     variance = np.maximum(unlimited_e, 0.0) + (sensor.read_noise_e * converter_slope / slope) ** 2
     variance += (ROUNDING_VARIANCE + maps.offset_stderr_dn**2) / (gain * slope) ** 2
-    # The second term would be divided by maps.gain², which is close to 1.
-    variance = variance / maps.gain**2 + electrons**2 * maps.gain_stderr**2
+    variance = variance / maps.gain**2 + (electrons * maps.gain_stderr / maps.gain) ** 2
     is_invalid = is_clipped | np.isnan(electrons)
     electrons, variance = (np.where(is_invalid, np.nan, values) for values in (electrons, variance))
     return CorrectedFrame(electrons, variance, clipped_count=int(np.count_nonzero(is_clipped)))

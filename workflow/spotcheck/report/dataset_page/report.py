@@ -186,6 +186,7 @@ def _list_links(content: Content) -> list[tuple[str, str]]:
         ("frames", "Frames", content.get("frames")),
         ("table", "Table of frames", content.get("frames")),
         ("evidence", "Evidence", content.get("evidence")),
+        ("models", "Both models", content.get("models")),
         ("light", "Light", content["light"]),
         ("sheet", "Data sheet", content.get("sheet")),
         ("figures", "Figures", content["curves"]),
