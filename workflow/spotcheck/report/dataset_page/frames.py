@@ -49,8 +49,6 @@ NO_REMARK = "no remark"
 RANKING_MODELS = ("extended", "declared", "simulated")
 # Order of the models in the picture of the first screen.
 PICTURE_MODELS = ("declared", "extended", "simulated")
-# Larger than any residual: frames without a declared model come after all others.
-WITHOUT_DECLARED = 1e12
 
 Place = dict[str, int]  # index of a frame by dimension of the grid (angle, exposure, repeat, …)
 Images = dict[str, np.ndarray]  # images of a frame [row, column] in DN by layer
@@ -276,14 +274,17 @@ def _choose_first(frames: Sequence[Mapping[str, Any]], model: str) -> int:
     It has the largest gain of the extended over the declared model, or else the largest residual from `model`.
     """
 
-    def score(frame: Mapping[str, Any]) -> float:
-        """Return the gain in mean square [DN²], or the residual [noise, or DN if the noise is unknown] − 10¹²."""
-        before, after = (frame["rms"].get(name) for name in ("declared", "extended"))
-        if model == "extended" and before is not None:
-            return before**2 - (after or 0.0) ** 2
-        return (frame["left"].get(model) or frame["rms"].get("simulated") or 0.0) - WITHOUT_DECLARED
+    def score(frame: Mapping[str, Any]) -> tuple[bool, float]:
+        """Return whether both models have the frame, and the gain in mean square [DN²] or the residual from `model`.
 
-    return int(np.argmax([score(frame) for frame in frames]))
+        The residual is over the noise [1], or in DN if the noise is unknown; 0 for a frame without one.
+        """
+        before, after = (frame["rms"].get(name) for name in ("declared", "extended"))
+        if model == "extended" and before is not None and after is not None:
+            return True, before**2 - after**2
+        return False, frame["left"].get(model) or frame["rms"].get(model) or 0.0
+
+    return max(range(len(frames)), key=lambda k: score(frames[k]))
 
 
 def _rounded(value: xr.DataArray) -> float | None:
