@@ -5,6 +5,7 @@ unused result is one that no key of an instrument file can hold.
 """
 
 import argparse
+import shutil
 from pathlib import Path
 
 from spotcheck.cli import effect_options
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> None:
     if not learned_values and not unused_results:
         raise InputError(f"{args.results}: says nothing about the instrument; run the workflow on {folder} to its end")
     choices = choose_values(learned_values, instrument)
-    print(format_table(choices, unused_results))
+    print(format_table(choices, unused_results, shutil.get_terminal_size((120, 24)).columns))
     if not (args.results / "verdict.json").is_file():
         print("there is no verdict yet, so effects and the shape of the light are missing here")
     if args.to is None:

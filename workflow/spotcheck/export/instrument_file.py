@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tabulate import tabulate
 
 import spotcheck
 from spotcheck.dataset.instrument import SECTIONS, BadPixels, Instrument
@@ -32,6 +33,9 @@ DIGITS, ERROR_DIGITS = 6, 3
 DIGEST_DIGITS = 16
 # Files of a results folder that values come from.
 SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "fits.nc", "verdict.json", "light.nc")
+
+# Widths of columns of the table of `format_table` [characters]: the value of the sheet, the decision, least of a text.
+STATED_WIDTH, DECISION_WIDTH, NARROWEST_TEXT = 16, 5, 16
 
 
 def write_instrument_file(
@@ -163,16 +167,21 @@ def format_value(choice: Choice) -> str:
     return quantity_text(float(value), choice.learned.stderr, choice.learned.unit)
 
 
-def format_table(choices: Sequence[Choice], unused: Sequence[UnusedResult]) -> str:
-    """Return a text table of all learned values and unused results, with the decision on each and its reason."""
-    rows = [("key", "sheet", "learned", "", "why", "origin")]
+def format_table(choices: Sequence[Choice], unused: Sequence[UnusedResult], width: int) -> str:
+    """Return a text table of all learned values and unused results, with the decision on each and its reason.
+
+    `width` is the number of characters of a line. Long texts are wrapped, to at least `NARROWEST_TEXT` characters.
+    """
+    rows = []
     for choice in choices:
         learned = choice.learned
         stated = "–" if choice.stated is None else quantity_text(float(choice.stated), choice.stated_stderr)
         decision = "taken" if choice.is_adopted else "left"
         rows.append((learned.key, stated, format_value(choice), decision, choice.reason, learned.source))
     rows += [(result.name, "–", result.text, "left", result.reason, "verdict.json") for result in unused]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    key_width = max((len(key) for key, *_ in rows), default=0)
+    # The rest of a line for the learned value, the reason and the origin; two spaces stand between columns.
+    text_width = max(NARROWEST_TEXT, (width - key_width - STATED_WIDTH - DECISION_WIDTH - 10) // 3)
+    widths = [None, STATED_WIDTH, text_width, None, text_width, text_width]
+    headers = ("key", "sheet", "learned", "", "why", "origin")
+    return tabulate(rows, headers, tablefmt="plain", disable_numparse=True, maxcolwidths=widths)
