@@ -14,7 +14,7 @@ def test_rules_are_those_of_the_snakefile(flats, tmp_path):
     """Every file that Snakemake plans and a subcommand says it writes, of spots and of flats alone."""
     results = tmp_path / "results"
     names = json.dumps([str(ROOT / "data" / "virtual-rig"), str(SAMPLE), str(flats)])
-    run = snakemake("--summary", "all", "verdict", "extended", config={"datasets": names, "results": results})
+    run = snakemake("--summary", "all", "verdict", config={"datasets": names, "results": results})
     assert run.returncode == 0, run.stderr
     rows = [line.split("\t") for line in run.stdout.splitlines()]
     head = next(row for row in rows if row[0] == "output_file")
