@@ -120,4 +120,4 @@ def test_fits_in_print(fits):
     assert repr(fits[:0]) == "0 fitted spots"
     sheet = repr(fits[0]).splitlines()
     assert len(sheet) == 9 and re.fullmatch(r"sigma_mean +\d\.\d{3,4} ± 0\.00\d{1,2} pixel", sheet[-1])
-    assert "none" in repr(fits[12])
+    assert "no value" in repr(fits[12])
