@@ -53,7 +53,7 @@ def check(entry, value):
 
 
 def test_groups_are_counted_apart():
-    """What follows from inputs, what the rig was tuned to, and what was held out."""
+    """Derived, tuned and held-out entries have counts of their own."""
     checks = [
         check(make_entry("derived"), 0.5),
         check(make_entry("derived"), 2.0),
@@ -108,11 +108,11 @@ def test_every_entry_has_one_function():
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=IDS)
 def test_every_entry_is_complete(entry):
-    """What is printed, where, in which unit, its role, and why its tolerance; one form of interval."""
+    """Each entry gives print, section, unit, role and reason of the tolerance, and one form of interval."""
     assert {"id", "printed", "section", "unit", "role", "because"} <= set(entry)
     assert entry["role"] in ("derived", "simulated", "measured", "statement")
     assert ("value" in entry) == ("tolerance" in entry) != ("at_least" in entry or "at_most" in entry)
-    # What is tuned cannot follow from inputs; what is not met says why, unless its remark would repeat the numbers.
+    # What follows from inputs cannot be tuned.
     assert not (entry.get("tuned") and entry["role"] == "derived")
 
 

@@ -7,10 +7,8 @@ where the last one stopped.
 
 import argparse
 import csv
-import os
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -19,7 +17,7 @@ from spotcheck.dataset import folder
 from spotcheck.io.schema import read_yaml
 from spotcheck.paper.number_checks import GROUPS, check_numbers, count_met
 from spotcheck.paper.results import Results
-from tests.samples.small_datasets import ROOT
+from tests.conftest import ROOT, snakemake
 
 TABLE = ROOT / "data" / "published_seeds.csv"
 DEFAULT = ROOT / "data" / "virtual-rig"
@@ -54,12 +52,10 @@ def count_with_seed(seed: int, scratch: Path) -> dict[str, int]:
     (dataset / "rig.yaml").write_text(settings, encoding="utf-8")
     results = scratch / "results"
     targets = [str(results / dataset.name / name) for name in STAGES]
-    commands = Path(sys.executable).parent
-    environment = os.environ | {"PATH": f"{commands}{os.pathsep}{os.environ['PATH']}"}
     # The dataset has a rig.yaml, so that the workflow exposes its frames first.
-    command = ["snakemake", "--cores", "2", "--quiet", "--config", f"dataset={dataset}", f"results={results}"]
-    command += ["--nolock", "--", *targets]
-    subprocess.run(command, check=True, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL)
+    done = snakemake(*targets, config={"dataset": dataset, "results": results})
+    if done.returncode:
+        sys.exit(done.stdout + done.stderr)
     checks = check_numbers(
         read_yaml(ROOT / "data" / "published.yaml"), Results(folder.load(dataset), results / dataset.name)
     )

@@ -22,7 +22,7 @@ from rig.settings import Settings
 
 # Gain over a Lambertian surface with which the lens collects 1/f_a² of the light, (2 d_w/f)².
 PAPER_GAIN = (2 * 0.25 / 0.0502) ** 2
-# What is searched: dotted key -> lowest value, highest value, step. All else comes from the settings file.
+# Searched keys: dotted key -> lowest value, highest value, step. All other settings come from the settings file.
 SPACE: dict[str, tuple[float, float, float]] = {
     "seed": (1, 100_000, 1),
     "sensor.clip_level_e": (6650, 7050, 10),
@@ -58,12 +58,12 @@ class Trial:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Mean of the numbers held, then the smallest mean of the summed misses: larger is better."""
+        """Mean number of met numbers, then minus the mean of the summed misses: larger is better."""
         if not self.draws:
             return 0.0, -math.inf
-        held = [sum(one.held for one in draw) for draw in self.draws]
-        missed = [sum(one.miss for one in draw) for draw in self.draws]
-        return float(np.mean(held)), -float(np.mean(missed))
+        met_counts = [sum(score.held for score in draw) for draw in self.draws]
+        misses = [sum(score.miss for score in draw) for draw in self.draws]
+        return float(np.mean(met_counts)), -float(np.mean(misses))
 
 
 def search(base: Settings, sites: list[Site], seed: int, draws: int, trials: int, refinements: int) -> list[Trial]:
@@ -77,7 +77,7 @@ def search(base: Settings, sites: list[Site], seed: int, draws: int, trials: int
         point = _polish(rng, base, sites, points[index], forecasts[index])
         done.append(_try("screened", base, sites, point))
     for _ in range(refinements):
-        best = max(done, key=lambda one: one.rank)
+        best = max(done, key=lambda trial: trial.rank)
         done.append(_try("refined", base, sites, _neighbour(rng, best.point)))
     return done
 
@@ -102,7 +102,7 @@ def run(folder: Path, base: Settings, table: Path, best: Path, **effort: int) ->
     if base.source != "fibres" or base.sensor.clip_level_e is None:
         raise RigError("the search is for a rig with source: fibres and a sensor.clip_level_e")
     done = search(base, sites, **effort)
-    winner = max(done, key=lambda one: one.rank)
+    winner = max(done, key=lambda trial: trial.rank)
     imagefile.write_whole(table, _csv(done).encode())
     tree = settings.to_dict(settings.replace(base, winner.point))
     imagefile.write_whole(best, yaml.safe_dump(tree, sort_keys=False).encode())
@@ -112,8 +112,8 @@ def run(folder: Path, base: Settings, table: Path, best: Path, **effort: int) ->
 def score_settings(folder: Path, rig: Settings, draws: int) -> tuple[list[list[scores.Score]], dict[str, float]]:
     """Scores of one rig in `draws` draws of the paper's simulation, and the clues that are not counted."""
     sites = plan.sites(plan.read_plan(folder))
-    seen = trial.measured(rig, sites)
-    return _draws(rig, seen, draws), scores.extras(seen)
+    measured = trial.measured(rig, sites)
+    return _draws(rig, measured, draws), scores.extras(measured)
 
 
 def _try(stage: str, base: Settings, sites: list[Site], point: dict[str, Any]) -> Trial:
@@ -124,8 +124,8 @@ def _try(stage: str, base: Settings, sites: list[Site], point: dict[str, Any]) -
         return Trial(stage, point, [])
 
 
-def _draws(rig: Settings, seen: scores.Measured, draws: int) -> list[list[scores.Score]]:
-    return [scores.score(seen, scores.simulate_set(rig, seen, seed)) for seed in range(draws)]
+def _draws(rig: Settings, measured: scores.Measured, draws: int) -> list[list[scores.Score]]:
+    return [scores.score(measured, scores.simulate_set(rig, measured, seed)) for seed in range(draws)]
 
 
 def _draw(rng: np.random.Generator, low: float, high: float, step: float) -> float:
@@ -154,10 +154,11 @@ def _on_grid(value: float, low: float, high: float, step: float) -> float:
 def _csv(done: list[Trial]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    names = [score.name for score in max(done, key=lambda one: one.rank).draws[0]]
+    names = [score.name for score in max(done, key=lambda trial: trial.rank).draws[0]]
     writer.writerow(["stage", "held", "miss", *SPACE, *names])
-    for one in done:
-        held, miss = one.rank
-        values = [f"{score.value:.5g}" for score in one.draws[0]] if one.draws else []
-        writer.writerow([one.stage, f"{held:.2f}", f"{-miss:.4f}", *(one.point[key] for key in SPACE), *values])
+    for result in done:
+        met_count, negative_miss = result.rank
+        values = [f"{score.value:.5g}" for score in result.draws[0]] if result.draws else []
+        point = (result.point[key] for key in SPACE)
+        writer.writerow([result.stage, f"{met_count:.2f}", f"{-negative_miss:.4f}", *point, *values])
     return stream.getvalue()

@@ -28,63 +28,65 @@ class Frame:
 class Sensor:
     """Chip and converter. The clip level is given in electrons and as relative scatter (rms)."""
 
-    pixel_pitch_m: float = 5.5e-6
-    bit_depth: int = 10
-    gain_dn_per_e: float = 0.11
-    quantum_efficiency: float = 0.38
-    read_noise_e: float = 13.0
-    dark_current_e_per_s: float = 70.0
-    black_level_dn: float = 0.0
-    clip_level_e: float | None = None
-    clip_pixel_scatter: float = 0.0
-    clip_row_scatter: float = 0.0
-    clip_row_step: float = 0.0
-    clip_row_period_px: int = 2
-    clip_screen_sigma: float = 3.0
+    pixel_pitch_m: float = 5.5e-6  # distance of pixels [m]
+    bit_depth: int = 10  # bits of the converter
+    gain_dn_per_e: float = 0.11  # gain K [DN/e-]
+    quantum_efficiency: float = 0.38  # electrons per photon [1]
+    read_noise_e: float = 13.0  # rms read noise [e-]
+    dark_current_e_per_s: float = 70.0  # dark current of a pixel [e-/s]
+    black_level_dn: float = 0.0  # reading without light [DN]
+    clip_level_e: float | None = None  # mean level at which the signal stops [e-]; None for no clip below the converter
+    clip_pixel_scatter: float = 0.0  # rms scatter of the level between pixels, relative [1]
+    clip_row_scatter: float = 0.0  # rms scatter of the level between rows, relative [1]
+    clip_row_step: float = 0.0  # excess of the level in every `clip_row_period_px`-th row, relative [1]
+    clip_row_period_px: int = 2  # distance of rows with that excess [px]
+    clip_screen_sigma: float = 3.0  # largest deviation of a level in units of its scatter [1]
 
 
 @dataclass(frozen=True)
 class Optics:
     """Lens and filter in front of the chip."""
 
-    focal_length_m: float = 0.0502
-    working_distance_m: float = 0.25
-    f_number: float = 11.0
-    filter_transmission: float = 0.9193
-    lens_transmission: float = 1.0
+    focal_length_m: float = 0.0502  # focal length [m]
+    working_distance_m: float = 0.25  # distance from lens to sample [m]
+    f_number: float = 11.0  # aperture f-number [1]
+    filter_transmission: float = 0.9193  # transmission of the filter [1]
+    lens_transmission: float = 1.0  # transmission of the lens [1]
 
 
 @dataclass(frozen=True)
 class Laser:
     """The spot laser; the polarisation's direction is counted like the fibre angle."""
 
-    power_w: float = 1e-3
-    wavelength_m: float = 650e-9
-    fwhm_x_m: float = 72.8e-6
-    fwhm_y_m: float = 80.4e-6
-    polarisation_deg: float = 0.0
+    power_w: float = 1e-3  # power [W]
+    wavelength_m: float = 650e-9  # wavelength [m]
+    fwhm_x_m: float = 72.8e-6  # full width at half maximum along x on the sample [m]
+    fwhm_y_m: float = 80.4e-6  # the same along y [m]
+    polarisation_deg: float = 0.0  # direction of the polarisation [deg]
 
 
 @dataclass(frozen=True)
 class Material:
     """The composite: how much light comes back towards the lens, and how far it spreads before."""
 
-    reflectance: float = 0.02
+    reflectance: float = 0.02  # part of the light that is reflected [1]
     # With the lens and distance of Table 3, the paper's factor 1/f_a².
+    # Light that the lens collects over that of a Lambertian surface [1].
     specular_gain: float = (2 * 0.25 / 0.0502) ** 2
-    spread_along_m: float = 280e-6
-    spread_across_m: float = 280e-6
+    spread_along_m: float = 280e-6  # standard deviation of the spread of light along the fibres on the sample [m]
+    spread_across_m: float = 280e-6  # the same across the fibres [m]
+    # Relative amplitude of the spread over twice the angle between fibres and polarisation [1].
     spread_polarisation: float = 0.0
-    reflectance_polarisation: float = 0.0
-    fibre_zero_deg: float = 0.0
-    site_reflectance_scatter: float = 0.0
-    site_spread_scatter: float = 0.0
-    site_spread_exponent: float = 0.0
+    reflectance_polarisation: float = 0.0  # the same of the reflectance [1]
+    fibre_zero_deg: float = 0.0  # direction of the fibres in the image at angle_deg 0, from +x towards +y [deg]
+    site_reflectance_scatter: float = 0.0  # standard deviation of ln reflectance between sites [1]
+    site_spread_scatter: float = 0.0  # standard deviation of ln spread between sites [1]
+    site_spread_exponent: float = 0.0  # exponent of reflectance to which the spread of a site is proportional [1]
 
 
 @dataclass(frozen=True)
 class Pointing:
-    """Where the spot lies: mean offset from the frame's centre, its walk from site to site, nearest border."""
+    """Place of the spot: mean offset from the frame's centre, walk from site to site, nearest border."""
 
     offset_x_px: float = 0.0
     offset_y_px: float = 0.0
@@ -105,31 +107,31 @@ class Speckle:
 class Beam:
     """A plain beam falling on the camera: caustic w(z) for each axis, brightness by a target peak."""
 
-    waist_x_m: float = 60e-6
-    waist_y_m: float = 60e-6
-    focus_x_m: float = 0.0
-    focus_y_m: float = 0.0
-    m2: float = 1.0
-    axis_deg: float = 0.0
-    peak_fraction: float = 0.7
-    peak_scatter: float = 0.0
+    waist_x_m: float = 60e-6  # 1/e² radius of the waist along the first axis [m]
+    waist_y_m: float = 60e-6  # the same along the second axis [m]
+    focus_x_m: float = 0.0  # position of the waist of the first axis [m]
+    focus_y_m: float = 0.0  # the same of the second axis [m]
+    m2: float = 1.0  # beam quality M² [1]
+    axis_deg: float = 0.0  # direction of the first axis [deg]
+    peak_fraction: float = 0.7  # mean peak as a part of the range above the black level [1]
+    peak_scatter: float = 0.0  # relative scatter of the peak, cut at two standard deviations [1]
 
 
 @dataclass(frozen=True)
 class Settings:
     """Everything that is true of one rig. `source` is `fibres` (reflected spot) or `beam` (plain beam)."""
 
-    seed: int = 0
-    source: str = "fibres"
-    unrecorded_exposure_s: float = 1e-3
-    frame: Frame = field(default_factory=Frame)
-    sensor: Sensor = field(default_factory=Sensor)
-    optics: Optics = field(default_factory=Optics)
-    laser: Laser = field(default_factory=Laser)
-    material: Material = field(default_factory=Material)
-    pointing: Pointing = field(default_factory=Pointing)
-    speckle: Speckle = field(default_factory=Speckle)
-    beam: Beam = field(default_factory=Beam)
+    seed: int = 0  # seed of all random numbers
+    source: str = "fibres"  # "fibres" or "beam"
+    unrecorded_exposure_s: float = 1e-3  # exposure where the manifest leaves it blank [s]
+    frame: Frame = field(default_factory=Frame)  # size of the frame
+    sensor: Sensor = field(default_factory=Sensor)  # chip and converter
+    optics: Optics = field(default_factory=Optics)  # lens and filter
+    laser: Laser = field(default_factory=Laser)  # spot laser
+    material: Material = field(default_factory=Material)  # composite
+    pointing: Pointing = field(default_factory=Pointing)  # place of the spot
+    speckle: Speckle = field(default_factory=Speckle)  # granular light
+    beam: Beam = field(default_factory=Beam)  # plain beam, if it is the source
 
 
 # Lowest and highest value allowed, both included; anything not listed must only be finite.

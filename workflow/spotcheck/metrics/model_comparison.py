@@ -36,6 +36,7 @@ class ComparedMetric:
     """A metric in one condition."""
 
     metric: str  # value of `METRICS`
+    index: dict[str, int]  # position of the condition along each dimension of the grid but the repeat
     # Dimension → value: angle [degree], exposure [s] and declared conditions, without those that were not recorded.
     conditions: dict[str, float]
     # The values below are in the unit of the metric, NaN if unknown.
@@ -85,7 +86,7 @@ def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedM
             # Dimensions without a coordinate were not recorded.
             conditions = {dim: float(declared[dim][k]) for dim, k in index.items() if dim in declared.coords}
             means = (_finite_mean(sample) for sample in simulated)
-            rows.append(ComparedMetric(metric, conditions, _finite_mean(tested), _finite_sd(measured), *means))
+            rows.append(ComparedMetric(metric, index, conditions, _finite_mean(tested), _finite_sd(measured), *means))
     return rows
 
 

@@ -51,7 +51,7 @@ def count_frames_to_separate(first: Prediction, second: Prediction) -> float:
 
 
 def _summarise(images: np.ndarray, label: str) -> list[Prediction]:
-    """Return fitted width, maximum and profile ratio of images [site, y, x] in DN."""
+    """Return fitted width, largest reading and profile ratio over images [site, y, x] in DN."""
     fits = fit_spots(images, weighting="equal")
     columns = (
         ("fitted width", "px", fits.sigma_mean),
@@ -59,8 +59,8 @@ def _summarise(images: np.ndarray, label: str) -> list[Prediction]:
         ("radius at 20 % over radius at 80 % of the profile", "1", [measure_profile_ratio(image) for image in images]),
     )
     return [
-        Prediction(f"{name}, {label}", unit, float(np.nanmean(sites)), float(np.nanstd(sites, ddof=1)))
-        for name, unit, sites in ((name, unit, np.asarray(sites, float)) for name, unit, sites in columns)
+        Prediction(f"{name}, {label}", unit, float(np.nanmean(values)), float(np.nanstd(values, ddof=1)))
+        for name, unit, values in columns
     ]
 
 

@@ -48,8 +48,7 @@ class World:
     name: str
     title: str  # for tables and legends
     parameters: tuple[Parameter, ...]
-    # Light [y, x] in DN at the longest exposure per unit of relative exposure, from radius [px], exposure [s], values
-    # and the site's width factor.
+    # Light [y, x] in DN from radius [y, x] in px, exposure [s], values, and the factor on the width of the site [1].
     light: Callable[[np.ndarray, float, Values, float], np.ndarray]
     # Electrons after the sensor's limit, from electrons [y, x], values and random generator.
     limit: Callable[[np.ndarray, Values, np.random.Generator], np.ndarray]
@@ -131,7 +130,7 @@ def _exponential_light(radius, exposure_s, values, width_factor):
     return values["peak"] * exposure_s / LONGEST_S * np.exp(-radius / values["width"])
 
 
-def _pass(electrons, values, rng):
+def _keep(electrons, values, rng):
     """Return the electrons: no limit but the converter's."""
     return electrons
 
@@ -172,7 +171,7 @@ WORLDS = (
             _CONTRAST,
         ),
         _growing_light,
-        _pass,
+        _keep,
     ),
     World(
         "gaussian clip",

@@ -297,25 +297,20 @@ def tabulate_models(declared: xr.Dataset | None, extended: xr.Dataset | None) ->
     if declared is None or extended is None:
         return None
     compared = compare_models(declared, extended)
-    summary = {name: tuple(map(number_text, pair)) for name, pair in summarise_comparison(compared).items()}
+    distances = summarise_comparison(compared)
     rows = [
         (
             row.metric,
-            ", ".join(series.condition_text(declared, {dim: _index_of(declared, dim, value)})
-                      for dim, value in row.conditions.items()),
+            series.condition_text(declared, row.index),
             quantity_text(row.measured, row.measured_sd),
             *(f"{number_text(value, 4)} ({number_text(distance, 2)})"
               for value, distance in zip((row.declared, row.extended), row.distances(), strict=True)),
         )
         for row in compared
     ]  # fmt: skip
-    closer = sum(of_extended < of_declared for of_declared, of_extended in summarise_comparison(compared).values())
+    summary = {name: tuple(map(number_text, pair)) for name, pair in distances.items()}
+    closer = sum(of_extended < of_declared for of_declared, of_extended in distances.values())
     return {"summary": summary, "rows": rows, "hint": f"extended nearer in {closer} of {len(summary)} metrics"}
-
-
-def _index_of(ds: xr.Dataset, dim: str, value: float) -> int:
-    """Return the position of a value along a dimension."""
-    return int(np.argmin(np.abs(ds[dim].values - value)))
 
 
 def read_paper_numbers(path: Path) -> dict[str, Any] | None:

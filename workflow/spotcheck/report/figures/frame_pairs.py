@@ -116,10 +116,8 @@ def find_pair(results: Results) -> FramePair:
 
 def _read_extended(results: Results, index: dict[str, int]) -> FittedFrame | None:
     """Return the frame of the extended model at an index of the grid; None if there is none, or without a fit."""
-    try:
-        return read_frame(results.get("extended/crops"), results.get("extended/fits"), index)
-    except Unavailable:
-        return None
+    crops, fits = results.find("extended/crops"), results.find("extended/fits")
+    return None if crops is None or fits is None else read_frame(crops, fits, index)
 
 
 def _describe_conditions(ds: xr.Dataset, index: dict[str, int]) -> str:

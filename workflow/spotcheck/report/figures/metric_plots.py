@@ -3,13 +3,14 @@
 A law gives the width of the spot at each exposure. Without one, each frame is simulated with its own fitted parameters.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
 from spotcheck.io import store
@@ -17,12 +18,26 @@ from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE
 from spotcheck.metrics.metrics_table import FIT_PARAMETERS
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import METRICS, Category, Entry
-from spotcheck.report.figures.results import Results, Unavailable
+from spotcheck.report.figures.results import Results
 
 # Most panels of a figure, and of a row.
 MAX_PANELS, PANELS_PER_ROW = 6, 3
+# Heights of the legend and of a row of panels [inch].
+LEGEND_HEIGHT, ROW_HEIGHT = 0.5, 2.7
 # Simulated widths of one exposure count as equal within this difference [px].
 WIDTH_TOLERANCE = 1e-9
+
+
+# Names of the simulated series in legends.
+MODEL_NAMES = ("declared model", "extended model")
+
+
+class Series(NamedTuple):
+    """The three series of a figure."""
+
+    measured: series.LineStatistics  # measured frames
+    declared: series.LineStatistics  # frames simulated by the declared model
+    extended: series.LineStatistics | None  # frames simulated by the extended model; None if there is none
 
 
 @dataclass(frozen=True)
@@ -50,16 +65,17 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
 
     Raises `Unavailable` if no measured frame has a value.
     """
-    metrics, extended = results.get("metrics"), _read_extended(results)
+    metrics, extended = results.get("metrics"), results.find("extended_metrics")
     # The paper uses least squares; its numbers are comparable with that fit only.
     fit = "least_squares" if results.has_paper_design() else metrics.attrs["preferred"]
     axes = series.choose_axes(metrics, store.grid_dims(metrics))
     measured_values = _select_values(metrics, plot.metric, fit, "measured")
     measured = series.require_values(series.average_frames(measured_values, axes), plot.meaning.lower())
-    models = {"declared model": series.average_frames(_select_values(metrics, plot.metric, fit, "simulated"), axes)}
-    if extended is not None:
-        values = _select_values(extended, plot.metric, fit, "simulated")
-        models["extended model"] = series.average_frames(values, axes)
+    declared, with_effects = (
+        None if ds is None else series.average_frames(_select_values(ds, plot.metric, fit, "simulated"), axes)
+        for ds in (metrics, extended)
+    )
+    assert declared is not None
     divisor, power_text = style.choose_power_of_ten(float(np.nanmax(measured.mean)))
     shown = series.pick_evenly(len(measured.mean), MAX_PANELS)
     figure, panels = _make_panels(len(shown))
@@ -70,11 +86,11 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
     handles: list = []
     for ax, k in zip(panels, shown, strict=True):
         x = series.set_abscissa(ax, metrics, axes)
-        handles = _draw_series(ax, x, measured, models, int(k), divisor, is_constant)
+        handles = _draw_series(ax, x, Series(measured, declared, with_effects), int(k), divisor, is_constant)
         ax.set_title(names[k])
         ax.label_outer()
     figure.supylabel(plot.label.replace("{tens}", power_text), fontsize="medium")
-    style.add_legend(figure, handles, ["measured", *models], len(handles))
+    style.add_legend(figure, handles, ["measured", *MODEL_NAMES][: len(handles)], len(handles))
     caption = f"{plot.meaning}: crops centred on the light. {series.frames_text(measured, axes)};"
     caption += f" {int(measured.frames.sum())} measured frames."
     if len(shown) < len(names):
@@ -97,14 +113,6 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
     return style.Drawing(figure, caption + (results.paper_note(plot.note) if plot.note else ""))
 
 
-def _read_extended(results: Results) -> xr.Dataset | None:
-    """Return extended_metrics.nc; None if the dataset has no extended model."""
-    try:
-        return results.get("extended_metrics")
-    except Unavailable:
-        return None
-
-
 def _select_values(ds: xr.Dataset, metric: str, fit: str, source: str) -> xr.DataArray:
     """Return a metric [grid] of the crops of a source that are centred on the light; NaN for fits not to be trusted."""
     chosen = ds.sel(centring="light", fit=fit, source=source)
@@ -112,17 +120,18 @@ def _select_values(ds: xr.Dataset, metric: str, fit: str, source: str) -> xr.Dat
     return values.where((chosen["status"] & store.UNTRUSTED) == 0) if metric in FIT_PARAMETERS else values
 
 
-def _make_panels(count: int, rows: int = 1, height: float = 3.2) -> tuple[Figure, np.ndarray]:
-    """Return a figure with `count` panels in each of some groups of rows, and the panels in use [group · count].
+def _make_panels(count: int, groups: int = 1) -> tuple[Figure, np.ndarray]:
+    """Return a figure with `count` panels in each of some groups, and the panels in use [group · count].
 
-    A group has at most `PANELS_PER_ROW` panels per row; its panels share their ordinate.
+    A group has at most `PANELS_PER_ROW` panels per row. The panels of a row share their ordinate, those of a single
+    group too.
     """
     columns = min(count, PANELS_PER_ROW)
     rows_per_group = -(-count // columns)
-    figure = style.new_figure(0.5 + rows * rows_per_group * (height - 0.5))
-    grid = figure.subplots(rows * rows_per_group, columns, squeeze=False, sharey="row" if rows > 1 else True)
+    figure = style.new_figure(LEGEND_HEIGHT + groups * rows_per_group * ROW_HEIGHT)
+    grid = figure.subplots(groups * rows_per_group, columns, squeeze=False, sharey="row" if groups > 1 else True)
     panels = []
-    for group in grid.reshape(rows, rows_per_group * columns):
+    for group in grid.reshape(groups, rows_per_group * columns):
         panels += list(group[:count])
         for unused in group[count:]:
             unused.set_axis_off()
@@ -132,32 +141,35 @@ def _make_panels(count: int, rows: int = 1, height: float = 3.2) -> tuple[Figure
 def _draw_series(
     ax: Axes,
     x: np.ndarray,
-    measured: series.LineStatistics,
-    models: Mapping[str, series.LineStatistics],
+    all_series: Series,
     line: int,
-    divisor: float,
-    is_constant: bool,
+    divisor: float = 1.0,
+    is_constant: bool = False,
 ) -> list:
     """Draw line number `line` of each series over `x`, all divided by `divisor`; return the handles for the legend.
 
-    Measured frames and the extended model have error bars. The first model, the declared one, is a horizontal line if
-    `is_constant`: the average of all its frames.
+    Measured frames and the extended model have error bars. The declared model is a horizontal line if `is_constant`:
+    the average of all its frames.
     """
-    offsets = series.offset_lines(x, 2)
-    looks = dict(zip(("declared model", "extended model"), (style.SIMULATED, style.ACCENT), strict=True))
-    measured_look = style.LineStyle(style.MEASURED, "o", ())
-    mean, sd = measured.mean[line] / divisor, measured.sd[line] / divisor
-    handles: list = [series.draw_error_bars(ax, x + offsets[0], mean, sd, measured_look)]
-    for name, statistics in models.items():
-        mean, sd, frames = statistics.mean[line] / divisor, statistics.sd[line] / divisor, statistics.frames[line]
-        if name == "declared model" and is_constant and frames.any():
-            level = float(np.average(mean[frames > 0], weights=frames[frames > 0]))
-            handles.append(ax.axhline(level, color=looks[name], linestyle=style.DASHED))
-        elif name == "declared model":
-            handles += ax.plot(x, mean, color=looks[name], linestyle=style.DASHED, marker="s", markerfacecolor="white")
-        else:
-            look = style.LineStyle(looks[name], "^", ())
-            handles.append(series.draw_error_bars(ax, x + offsets[1], mean, sd, look, is_filled=False))
+    measured, declared, extended = all_series
+    left, right = series.offset_lines(x, 2)
+
+    def draw_bars(
+        statistics: series.LineStatistics, offset: float, look: style.LineStyle, is_filled: bool
+    ) -> ErrorbarContainer:
+        """Draw mean and standard deviation of a series, shifted by `offset` along the abscissa."""
+        mean, sd = statistics.mean[line] / divisor, statistics.sd[line] / divisor
+        return series.draw_error_bars(ax, x + offset, mean, sd, look, is_filled)
+
+    handles: list = [draw_bars(measured, left, style.LineStyle(style.MEASURED, "o", ()), True)]
+    mean, frames = declared.mean[line] / divisor, declared.frames[line]
+    look: dict[str, Any] = {"color": style.SIMULATED, "linestyle": style.DASHED}
+    if is_constant and frames.any():
+        handles.append(ax.axhline(float(np.average(mean[frames > 0], weights=frames[frames > 0])), **look))
+    else:
+        handles += ax.plot(x, mean, marker="s", markerfacecolor="white", **look)
+    if extended is not None:
+        handles.append(draw_bars(extended, right, style.LineStyle(style.ACCENT, "^", ()), False))
     return handles
 
 
@@ -167,14 +179,14 @@ def draw_psnr(results: Results) -> style.Drawing:
     The paper centres each crop on its maximum and uses the range of 16-bit numbers. The panels below have crops that
     are registered on the fitted centres, and the range of the sensor. Raises `Unavailable` if there is no PSNR.
     """
-    ds, extended = results.get("metrics"), _read_extended(results)
+    ds, extended = results.get("metrics"), results.find("extended_metrics")
     axes = series.choose_axes(ds, store.grid_dims(ds))
     full_scale = float(results.get("sensor")["full_scale_dn"])
     range_db = 20 * np.log10(CONTAINER_RANGE / full_scale)
     kinds = (("maximum", "container", "range 65535"), ("fitted", "sensor", f"registered, range {full_scale:.0f}"))
     names = series.list_line_names(ds, axes)
     shown = series.pick_evenly(len(names), PANELS_PER_ROW)
-    figure, panels = _make_panels(len(shown), rows=2)
+    figure, panels = _make_panels(len(shown), groups=2)
     handles: list = []
     averages = []
     for (registration, data_range, title), row in zip(kinds, panels.reshape(2, -1), strict=True):
@@ -183,16 +195,16 @@ def draw_psnr(results: Results) -> style.Drawing:
             """Return the statistics of a PSNR with the registration and data range of this row."""
             return series.average_frames(values.sel(registration=kind[0], data_range=kind[1]), axes)
 
-        models = {"declared model": series.require_values(average(ds["psnr"]), "a peak signal-to-noise ratio")}
-        averages.append(models["declared model"])
-        if extended is not None:
-            models["extended model"] = average(extended["psnr"])
+        declared = series.require_values(average(ds["psnr"]), "a peak signal-to-noise ratio")
+        averages.append(declared)
+        of_extended = None if extended is None else average(extended["psnr"])
+        all_series = Series(average(ds["psnr_repeats"]), declared, of_extended)
         for ax, k in zip(row, shown, strict=True):
             x = series.set_abscissa(ax, ds, axes)
-            handles = _draw_series(ax, x, average(ds["psnr_repeats"]), models, int(k), 1.0, is_constant=False)
+            handles = _draw_series(ax, x, all_series, int(k))
             ax.set_title(names[k] if registration == "maximum" else "")
         row[0].set_ylabel(f"PSNR / dB, {title}")
-    style.add_legend(figure, handles, ["measured repeats", *models], len(handles))
+    style.add_legend(figure, handles, ["measured repeats", *MODEL_NAMES][: len(handles)], len(handles))
     # The crops of the upper panels with the range of the lower ones, which separates both effects.
     at_sensor_range = ds["psnr"].sel(registration="maximum", data_range="sensor").values
     printed_db, registered_db = map(_average_all_frames, averages)

@@ -66,6 +66,13 @@ class Results:
             raise Unavailable(str(ds.attrs["skipped"]))
         return ds
 
+    def find(self, name: str) -> xr.Dataset | None:
+        """Return a netCDF result as `get` does; None if it does not exist or its stage was skipped."""
+        try:
+            return self.get(name)
+        except Unavailable:
+            return None
+
     def verdict(self) -> dict[str, Any]:
         """Return the content of verdict.json by key. Raises `Unavailable` if the file does not exist."""
         path = self.folder / "verdict.json"

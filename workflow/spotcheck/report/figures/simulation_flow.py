@@ -84,12 +84,11 @@ def _named_effects(results: Results) -> dict[Stage, list[str]]:
     except Unavailable:
         return {}
     stages: dict[Stage, list[str]] = {}
-    effects = {effect.name: effect for effect in vocabulary().values()}
-    for name in names:
-        if name in effects:
-            steps = next(iter(effects[name].variants.values()))
-            if steps:
-                stages.setdefault(steps[0].stage, []).append(name.replace("_", " "))
+    effects = vocabulary()
+    for name in filter(effects.__contains__, names):
+        steps = next(iter(effects[name].variants.values()))
+        if steps:
+            stages.setdefault(steps[0].stage, []).append(name.replace("_", " "))
     return stages
 
 
