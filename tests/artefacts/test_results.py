@@ -18,7 +18,7 @@ from spotcheck.sensor import ReadingDistribution
 @pytest.fixture(scope="module")
 def opened(small_run):
     """The netCDF results by name."""
-    return {path.stem: xr.open_dataset(path) for path in small_run.glob("*.nc")}
+    return {path.stem: xr.load_dataset(path) for path in small_run.glob("*.nc")}
 
 
 @pytest.fixture(scope="module")

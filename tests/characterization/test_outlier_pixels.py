@@ -31,7 +31,7 @@ def stored(tmp_path, images, sensor, side=SIDE):
     bits = int(np.log2(sensor.full_scale_dn + 1))
     found = loaded(tmp_path / "data", images, f"crop_px: {side}\nsensor: {{bit_depth: {bits}}}\n")
     crop_spots(found, ingest_frames(found), tmp_path / "crops.nc", code="c", inputs=[])
-    own = fit_crops(store.read(tmp_path / "crops.nc").load(), sensor)
+    own = fit_crops(store.read_whole(tmp_path / "crops.nc"), sensor)
     return own.sel(centring="light").isel(angle=0, exposure=0)
 
 

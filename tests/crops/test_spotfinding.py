@@ -168,7 +168,7 @@ def cropped(tmp_path):
     ds = loaded(tmp_path / "data", images, "crop_px: 100\nsensor: {bit_depth: 10}")
     table = ingest_frames(ds)
     crop_spots(ds, table, tmp_path / "crops.nc", code="c", inputs=[])
-    return ds, images, table, store.read(tmp_path / "crops.nc").load()
+    return ds, images, table, store.read_whole(tmp_path / "crops.nc")
 
 
 def test_status_of_a_crop(cropped):

@@ -44,7 +44,7 @@ def cropped(found, path):
     """Its table of frames and its crops."""
     table = ingest_frames(found)
     crop_spots(found, table, path / "crops.nc", code="c", inputs=[])
-    return table, store.read(path / "crops.nc").load()
+    return table, store.read_whole(path / "crops.nc")
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -123,7 +123,7 @@ def cropped(base, images):
     """Crops and fits of one angle and time, repeats counting up."""
     ds = loaded(base / "in", images, "crop_px: 48\nsensor: {bit_depth: 10}")
     crop_spots(ds, ingest_frames(ds), base / "crops.nc", code="c", inputs=[])
-    own = store.read(base / "crops.nc").load()
+    own = store.read_whole(base / "crops.nc")
     return own, fit_crops(own, SENSOR)
 
 

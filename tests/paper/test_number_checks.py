@@ -1,6 +1,7 @@
 """The paper's numbers and statements: intervals, counting, a function for each, the derived ones from inputs alone."""
 
 import re
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -163,7 +164,7 @@ def test_the_bright_pixel_has_the_printed_ratios(results):
 
 
 @pytest.fixture
-def results(tmp_path) -> Results:
+def results(tmp_path) -> Iterator[Results]:
     """A results folder of the default dataset with what derived numbers need: the frames' shape and the sensor."""
     data = dataset.load(ROOT / "data" / "virtual-rig")
     frames = xr.Dataset(attrs={"title": "T", "dataset": "d"})
@@ -176,7 +177,8 @@ def results(tmp_path) -> Results:
         tmp_path / "sensor.nc",
         code="c",
     )
-    return Results(data, tmp_path)
+    with Results(data, tmp_path) as opened:
+        yield opened
 
 
 # What needs no spots; the rest is tested on the default run (`make check-numbers`).

@@ -56,9 +56,8 @@ def count_with_seed(seed: int, scratch: Path) -> dict[str, int]:
     done = snakemake(*targets, config={"dataset": dataset, "results": results})
     if done.returncode:
         sys.exit(done.stdout + done.stderr)
-    checks = check_numbers(
-        read_yaml(ROOT / "data" / "published.yaml"), Results(folder.load(dataset), results / dataset.name)
-    )
+    with Results(folder.load(dataset), results / dataset.name) as made:
+        checks = check_numbers(read_yaml(ROOT / "data" / "published.yaml"), made)
     return {group: met for group, (met, _) in count_met(checks).items()}
 
 

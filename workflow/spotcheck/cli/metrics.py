@@ -24,9 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Evaluate measured and simulated frames by the same functions, and print the number of pairs."""
     names = ("measured", "simulated")
-    crops = {name: store.read(path) for name, path in zip(names, args.crops, strict=True)}
-    fits = {name: store.read(path) for name, path in zip(names, args.fits, strict=True)}
-    with store.read(args.sensor) as sensor:
+    with (
+        store.read_files(dict(zip(names, args.crops, strict=True))) as crops,
+        store.read_files(dict(zip(names, args.fits, strict=True))) as fits,
+        store.read(args.sensor) as sensor,
+    ):
         metrics = compute_metrics(crops, fits, float(sensor["full_scale_dn"]))
     inputs = [*args.crops, *args.fits, args.sensor]
     store.write(metrics, args.output, code=provenance.code_digest(__name__), inputs=inputs)

@@ -37,8 +37,8 @@ def run(args: argparse.Namespace) -> None:
     Numbers that are declared to hold but are outside their tolerance (`low` to `high`) are printed. With --strict they
     end the process with status 1.
     """
-    results = Results(folder.load(args.dataset), args.results)
-    checks = number_checks.check_numbers(read_yaml(args.numbers), results)
+    with Results(folder.load(args.dataset), args.results) as results:
+        checks = number_checks.check_numbers(read_yaml(args.numbers), results)
     # `opened` has the paths of the results that the checks have read.
     inputs = [args.numbers, args.seeds, results.dataset.folder / "instrument.yaml", *sorted(results.opened)]
     store.write_text(args.table, number_checks.format_csv(checks), code=provenance.code_digest(__name__), inputs=inputs)

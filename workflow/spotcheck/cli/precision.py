@@ -31,8 +31,11 @@ def run(args: argparse.Namespace) -> None:
     Prints the reason if there is no scatter (`skipped`), or no bound over exposure time (`no_design`).
     """
     dataset = folder.load(args.dataset)
-    fits = {name: store.read(path) for name, path in zip(("measured", "simulated"), args.fits, strict=True)}
-    with store.read(args.calibration) as calibration, store.read(args.sensor) as sensor:
+    with (
+        store.read_files(dict(zip(("measured", "simulated"), args.fits, strict=True))) as fits,
+        store.read(args.calibration) as calibration,
+        store.read(args.sensor) as sensor,
+    ):
         exposures_s, side = np.array(dataset.exposures), dataset.instrument.crop_px
         result = compute_precision(fits, calibration, dataset.instrument, exposures_s, read_sensor_model(sensor), side)
     inputs = [*args.fits, args.calibration, args.sensor]

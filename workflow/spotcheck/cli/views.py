@@ -35,26 +35,24 @@ def run(args: argparse.Namespace) -> None:
     effect_options.apply_options(args)
     dataset = folder.load(args.dataset)
     paths = {name: getattr(args, name) for name in ("crops", "fits", "calibration", "sensor")}
-    files = {name: store.read(path) for name, path in paths.items()}
-    # A record: the frames, their cells on the grid, the spot of each, and the `setting` (declared model of the light
-    # and sensor model). It is a sentence with the reason if the frames cannot be analysed.
-    ready = prepare_dataset(dataset, files["crops"], files["sensor"], files["fits"])
-    # Why there is no extended model; "" if there is one.
-    reason = reason_without_model(args.model)
-    inputs = [*paths.values(), args.model, *args.effects]
-    frames, model = None, None
-    if isinstance(ready, str):
-        reason = reason or ready
-    else:
-        baseline, sensor = ready.setting.baseline, ready.setting.sensor
-        frames = views.ViewedFrames(ready.frames, ready.cells, ready.spots, baseline, sensor)
-        if not reason:
-            model = read_model(args.model)
-            check_model(dataset, model, baseline, sensor, args.model.name)
-            # A learned shape of the light is in light.nc beside model.yaml.
-            inputs += [args.model.with_name(LIGHT)] if model.lights else []
-    code = provenance.code_digest(__name__)
-    views.write_views(dataset, files, frames, model, args.output, reason=reason, code=code, inputs=inputs)
-    for file in files.values():
-        file.close()
+    with store.read_files(paths) as files:
+        # A record: the frames, their cells on the grid, the spot of each, and the `setting` (declared model of the light
+        # and sensor model). It is a sentence with the reason if the frames cannot be analysed.
+        ready = prepare_dataset(dataset, files["crops"], files["sensor"], files["fits"])
+        # Why there is no extended model; "" if there is one.
+        reason = reason_without_model(args.model)
+        inputs = [*paths.values(), args.model, *args.effects]
+        frames, model = None, None
+        if isinstance(ready, str):
+            reason = reason or ready
+        else:
+            baseline, sensor = ready.setting.baseline, ready.setting.sensor
+            frames = views.ViewedFrames(ready.frames, ready.cells, ready.spots, baseline, sensor)
+            if not reason:
+                model = read_model(args.model)
+                check_model(dataset, model, baseline, sensor, args.model.name)
+                # A learned shape of the light is in light.nc beside model.yaml.
+                inputs += [args.model.with_name(LIGHT)] if model.lights else []
+        code = provenance.code_digest(__name__)
+        views.write_views(dataset, files, frames, model, args.output, reason=reason, code=code, inputs=inputs)
     print(f"{dataset.name}: views of {len(dataset.spots)} frames")

@@ -8,7 +8,7 @@ bits per cell of the grid. The owner of a results folder is the dataset from whi
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -344,6 +344,19 @@ def read(path: str | Path) -> xr.Dataset:
         If the file breaks the contract.
     """
     return check(xr.open_dataset(path, engine="netcdf4", decode_timedelta=False), Path(path).name)
+
+
+@contextmanager
+def read_files(paths: Mapping[str, str | Path]) -> Iterator[dict[str, xr.Dataset]]:
+    """Yield results by name, opened lazily as by `read`, and close their files at the end of the block."""
+    with ExitStack() as files:
+        yield {name: files.enter_context(read(path)) for name, path in paths.items()}
+
+
+def read_whole(path: str | Path) -> xr.Dataset:
+    """Return a result in memory, after a check of the contract (`ContractError`); its file is closed."""
+    with read(path) as ds:
+        return ds.load()
 
 
 @contextmanager

@@ -4,6 +4,7 @@ Metrics are variables of metrics.nc; NAME_mean and NAME_sd are mean and standard
 fits by least squares and crops around the maximum.
 """
 
+from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def require_key(instrument: Instrument, key: str) -> float:
 
 
 class Results:
-    """Results folder of a dataset, whose files are opened on demand.
+    """Results folder of a dataset, whose files are opened on demand; as a context manager it closes them at the end.
 
     Attributes
     ----------
@@ -48,12 +49,19 @@ class Results:
         self.dataset = dataset
         self.folder = folder
         self.opened: set[Path] = set()
+        self._files = ExitStack()  # closes what `open_file` opened
+
+    def __enter__(self) -> "Results":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._files.close()
 
     def open_file(self, name: str) -> xr.Dataset:
         """Return the content of folder/`name`.nc, and add its path to `opened`. Each call opens the file again."""
         path = self.folder / f"{name}.nc"
         self.opened.add(path)
-        return store.read(path)
+        return self._files.enter_context(store.read(path))
 
     def require_key(self, key: str) -> float:
         """Return the number of a key of the dataset's instrument.yaml; see the function `require_key`."""

@@ -50,7 +50,7 @@ def write_report(dataset: Dataset, results: Path, path: Path) -> None:
     path : Path
         Page to write.
     """
-    stages = {f.stem: store.read(f).load() for f in sorted(results.glob("*.nc")) if f.stem not in FRAME_RESULTS}
+    stages = {f.stem: store.read_whole(f) for f in sorted(results.glob("*.nc")) if f.stem not in FRAME_RESULTS}
     available = {name: ds for name, ds in stages.items() if "skipped" not in ds.attrs}
     verdict = _read_json(results / "verdict.json")
     citations = Citations(results)
