@@ -36,8 +36,8 @@ def run(args: argparse.Namespace) -> None:
     dataset = folder.load(args.dataset)
     paths = {name: getattr(args, name) for name in ("crops", "fits", "calibration", "sensor")}
     with store.read_files(paths) as files:
-        # A record: the frames, their cells on the grid, the spot of each, and the `setting` (declared model of the light
-        # and sensor model). It is a sentence with the reason if the frames cannot be analysed.
+        # A record: the frames, their cells on the grid, the spot of each, and the `setting` (declared model of the
+        # light and sensor model). It is a sentence with the reason if the frames cannot be analysed.
         ready = prepare_dataset(dataset, files["crops"], files["sensor"], files["fits"])
         # Why there is no extended model; "" if there is one.
         reason = reason_without_model(args.model)
