@@ -80,13 +80,14 @@ def test_parts_go_with_their_writers(tmp_path):
     """What a living process writes stays, and so does what only looks like a part."""
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    gone = [tmp_path / f".crops.nc.{dead.pid}.part", tmp_path / "notebooks" / "spot.part.ipynb"]
+    notebooks = [tmp_path / "notebooks" / f"spot.part.{suffix}" for suffix in ("ipynb", "html")]
+    gone = [tmp_path / f".crops.nc.{dead.pid}.part", *notebooks]
     kept = [tmp_path / f".fits.nc.{os.getpid()}.part", tmp_path / "a.part", tmp_path / "my.parts.csv"]
     (tmp_path / "notebooks").mkdir()
     for path in (*gone, *kept):
         path.touch()
     run_control.remove_scratch_files(tmp_path)
-    assert [path.exists() for path in gone] == [False, False]
+    assert not any(path.exists() for path in gone)
     assert all(path.exists() for path in kept)
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -31,6 +32,12 @@ def test_everything_comes_out(small_run):
     for path in (ROOT / "notebooks").glob("*.ipynb"):
         notebook = nbformat.read(small_run / "notebooks" / path.name, as_version=4)
         assert all(cell.get("execution_count") for cell in notebook.cells if cell.cell_type == "code")
+    # The report links the page of every notebook; the page asks for nothing from the network when it is opened.
+    report = (small_run / "report.html").read_text(encoding="utf-8")
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        assert f'href="notebooks/{path.stem}.html"' in report
+        page = (small_run / "notebooks" / f"{path.stem}.html").read_text(encoding="utf-8")
+        assert not re.search(r'<(?:script|img)[^>]* src="(?!data:|")|<link[^>]* href="', page)
 
 
 def test_second_call_has_nothing_to_do(small_run):

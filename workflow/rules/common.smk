@@ -190,6 +190,12 @@ def compared_files(name):
     return sorted({*results(wildcards), f"{folder}/verdict.json", f"{folder}/report.html"})
 
 
+def notebook_pages(wildcards):
+    """Pages of the executed notebooks, which the report links, where there are spots."""
+    names = NOTEBOOKS if DATASETS[wildcards.dataset].spots else []
+    return [f"{results_folder(wildcards)}/notebooks/{name}.html" for name in names]
+
+
 def views(wildcards):
     """What the report shows of each frame, where there are spots."""
     return f"{results_folder(wildcards)}/views.nc" if DATASETS[wildcards.dataset].spots else []

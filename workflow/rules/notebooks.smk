@@ -1,4 +1,5 @@
-# Executed notebooks are results. Each appears whole: papermill writes as it goes, so it writes beside.
+# Executed notebooks are results, as notebook and as page. Each appears whole: papermill writes as it goes, so it writes
+# beside. The page loads nothing from the network.
 # A kernel may fail to start: its ports are drawn before they are bound (nteract/papermill#511), and a busy machine takes
 # longer than the minute that papermill waits.
 rule notebook:
@@ -8,7 +9,8 @@ rule notebook:
         results,
         source="notebooks/{notebook}.ipynb",
     output:
-        f"{OUT}/notebooks/{{notebook}}.ipynb",
+        notebook=f"{OUT}/notebooks/{{notebook}}.ipynb",
+        page=f"{OUT}/notebooks/{{notebook}}.html",
     log:
         f"{OUT}/logs/notebook_{{notebook}}.log",
     benchmark:
@@ -23,11 +25,15 @@ rule notebook:
     params:
         folder=dataset_folder,
         results=lambda wildcards: str(Path(results_folder(wildcards)).resolve()),
-        scratch=lambda wildcards, output: str(Path(output[0]).with_suffix(".part.ipynb")),
+        scratch=lambda wildcards, output: str(Path(output.notebook).with_suffix(".part.ipynb")),
+        scratch_page=lambda wildcards, output: str(Path(output.page).with_suffix(".part.html")),
         code=lambda wildcards: notebook_code(wildcards.notebook),
     message:
         "Executing notebook {wildcards.notebook} on {wildcards.dataset}"
     shell:
         "papermill {input.source:q} {params.scratch:q} -k python3 --no-progress-bar --start-timeout 300"
         " -p dataset {params.folder:q} -p results {params.results:q} &> {log:q} || {{ cat {log:q} >&2; exit 1; }}"
-        "; mv {params.scratch:q} {output:q}"
+        "; mv {params.scratch:q} {output.notebook:q}"
+        "; python -m nbconvert --to html --log-level WARN --HTMLExporter.mathjax_url= --HTMLExporter.require_js_url="
+        " --HTMLExporter.jquery_url= --stdout {output.notebook:q} > {params.scratch_page:q} 2>> {log:q}"
+        " || {{ cat {log:q} >&2; exit 1; }}; mv {params.scratch_page:q} {output.page:q}"

@@ -40,6 +40,7 @@ rule report:
         results,
         rules.tables.output,
         paper_tables,
+        notebook_pages,
         views,
         figures=rules.figures.output,
     output:

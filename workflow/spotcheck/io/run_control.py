@@ -29,8 +29,8 @@ TOKEN_VARIABLE = "SPOTCHECK_RUN"
 GRACE_S, KILL_S = 4.0, 1.0
 # Interval at which a run that is being stopped looks for jobs that have just started [s].
 SEARCH_INTERVAL_S = 0.2
-# Names of scratch files: `.NAME.PID.part` (`atomic_files`, the rig), and those of notebooks, which must end in .ipynb.
-SCRATCH_NAME = re.compile(r"\..+\.(\d+)\.part|.+\.part\.ipynb")
+# Names of scratch files: `.NAME.PID.part` (`atomic_files`, the rig), and those of notebooks and their pages.
+SCRATCH_NAME = re.compile(r"\..+\.(\d+)\.part|.+\.part\.(?:ipynb|html)")
 
 
 def make_token() -> str:

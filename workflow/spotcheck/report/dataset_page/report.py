@@ -66,6 +66,7 @@ def write_report(dataset: Dataset, results: Path, path: Path) -> None:
         **_collect_figures(dataset, results, available),
         **_list_skipped(dataset, stages),
         "numbers": tables.read_paper_numbers(results / "paper_numbers.csv"),
+        "other_pages": _list_other_pages(results),
     }
     if dataset.spots:
         content |= _build_frame_content(dataset, results, stages, verdict)
@@ -177,6 +178,26 @@ def _describe_frames(section: FrameSection) -> Content:
         "has_before": "declared" in index["names"] and section.ranked_by == "extended",
         "table_hint": f"largest residual: {largest['label'] or largest['file']}; {remarks}",
     }
+
+
+def _list_other_pages(results: Path) -> list[tuple[str, str]]:
+    """Return the path below the results folder and the title of each executed notebook and table of the code.
+
+    The title of a notebook is its first heading, or its name if it does not start with a heading.
+    """
+    pages = []
+    for page in sorted((results / "notebooks").glob("*.html")):
+        cells = json.loads(page.with_suffix(".ipynb").read_text(encoding="utf-8"))["cells"]
+        first_line = "".join(cells[0]["source"]).partition("\n")[0] if cells else ""
+        is_heading = first_line.startswith("# ") and cells[0]["cell_type"] == "markdown"
+        title = first_line.removeprefix("# ") if is_heading else page.stem
+        pages.append((f"notebooks/{page.name}", f"Notebook: {title}"))
+    tables_of_code = {
+        "equations": "Equations of the paper, with the functions and tests of each",
+        "symbols": "Symbols of the paper, and their names in the code",
+    }
+    present = [name for name in tables_of_code if (results / "docs" / f"{name}.html").exists()]
+    return pages + [(f"docs/{name}.html", tables_of_code[name]) for name in present]
 
 
 def _list_links(content: Content) -> list[tuple[str, str]]:
