@@ -212,6 +212,14 @@ def test_what_the_data_sheet_states(results, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
+    ("asked", "usual"), [("P1", "p1"), ("p¹", "p1"), ("Gain", "gain"), ("SENSOR.gain", "sensor.gain")]
+)
+def test_other_spellings_of_a_name_are_understood(results, asked, usual):
+    """Letters of another case, and superscripts as in M²."""
+    assert provenance.find_number(results, asked).key == provenance.find_number(results, usual).key
+
+
+@pytest.mark.parametrize(
     ("asked", "said"),
     [
         ("gian", r"gian: no number of these results has this name; nearest are gain"),

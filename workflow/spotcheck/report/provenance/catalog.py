@@ -7,6 +7,7 @@ the value of a coordinate or an index. A rule is a step of the workflow that wri
 
 import difflib
 import re
+import unicodedata
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -75,7 +76,7 @@ class Catalog:
         """
         if name in self.entries:
             return self.entries[name]
-        candidates = self.entries_by_name.get(name, [])
+        candidates = self.entries_by_name.get(name) or self._find_other_spelling(name)
         candidates = [entry for entry in candidates if not entry.is_secondary] or candidates
         labelled_dims = set(dims) - {"frame"}
         matches = [entry for entry in candidates if labelled_dims <= set(entry.dims)]
@@ -91,9 +92,14 @@ class Catalog:
             entry_dims = ", ".join(candidates[0].dims)
             shape = f"its dimensions are {entry_dims}" if entry_dims else "it is one number"
             raise InputError(f"{name}: has no {' and '.join(sorted(labelled_dims))}; {shape}")
-        similar = difflib.get_close_matches(name, self.entries_by_name, MAX_NAMES, MIN_SIMILARITY)
+        similar = difflib.get_close_matches(_fold(name), self.entries_by_name, MAX_NAMES, MIN_SIMILARITY)
         hint = f"; nearest are {_list_names(similar)}" if similar else ""
         raise InputError(f"{name}: no number of these results has this name{hint}; `spotcheck explain` lists all")
+
+    def _find_other_spelling(self, name: str) -> list[CatalogEntry]:
+        """Return the entries that have a name in another spelling: letters of another case, M² for m2."""
+        folded = _fold(name)
+        return [entry for entry in self.entries.values() if folded in map(_fold, (entry.key, *entry.names()))]
 
     def find_short_name(self, entry: CatalogEntry) -> str:
         """Return the shortest name that `find_entry` resolves to this entry without labels, or its full name."""
@@ -105,6 +111,11 @@ class Catalog:
             return self.find_entry(name, ()) is entry
         except InputError:
             return False
+
+
+def _fold(name: str) -> str:
+    """Return a name in lower case, with digits for superscripts: m2 for M²."""
+    return unicodedata.normalize("NFKC", name).casefold()
 
 
 def _list_names(names: list[str]) -> str:
