@@ -3,8 +3,10 @@
 Order of the chain (dataset contract): Poisson electrons of light and dark current → + smear → full well → gain K →
 charge → + read noise → response → black level → digital → one rounding → 0 … full scale.
 
-A code is a whole reading in DN. A signal is K times electrons, in DN without black level. A band holds the probability
-of the codes from a first one on, which differs from row to row.
+A code is one output value of the converter: a whole number of DN (digital numbers). The light is K times the mean
+photo-electrons of a pixel, and a signal is K times its electrons, both in DN without black level. Smear is charge that
+a pixel collects during readout. A band [row, code] holds probabilities of consecutive codes; the code of its first
+column differs from row to row. Brackets give the shape of an array, with one item per mean, signal, code, ….
 """
 
 from __future__ import annotations
@@ -38,13 +40,13 @@ if TYPE_CHECKING:
 # A function signal [DN] → signal [DN] that never decreases. Results are cached for functions that compare equal.
 Transfer = Callable[[np.ndarray], np.ndarray]
 
-# Steps of the bisection that inverts a response: each halves the interval.
+# Steps of the bisection that inverts a response. Each halves the interval, so that 80 reach the floating-point limit.
 BISECTIONS = 80
-# Signals whose codes are averaged at a time, which limits memory.
-SIGNALS = 8192
-# From so many pixels on, `sample` is faster with tables.
+# Number of signals for which moments are computed at a time, which limits memory.
+SIGNALS_PER_BATCH = 8192
+# Number of pixels from which on `sample` is faster with tables.
 FEWEST_FOR_TABLES = 4096
-# Step of the derivative for light below 0, in standard deviations of the read noise.
+# Step of the finite difference by the mean electrons for negative light, in standard deviations of the read noise.
 NEGATIVE_LIGHT_STEP = 1e-4
 # Mean numbers of electrons that are summed at a time; they share the probabilities of codes given the electrons.
 BLOCK = 64
@@ -145,9 +147,10 @@ class ReadingDistribution:
         return Cumulants(*cumulants[:, index.reshape(light.shape)])
 
     def moments(self, light: np.ndarray) -> ReadingMoments:
-        """Return mean, variance and their slopes at light [DN], an increasing 1-D array of values from 0 on.
+        """Return mean, variance and their slopes [light] at light [light] in DN, increasing and at least 0.
 
-        They follow from the moments of a reading given the electrons, which is many times faster than all codes.
+        The moments of a reading given the number of electrons are averaged over the Poisson distribution. This is many
+        times faster than computing the probability of each code (`cumulants`).
         """
         mean_e = self.mean_electrons(light)
         signal = self.charge_signal(np.arange(find_possible_counts(mean_e[-1])[1] + 1.0))
@@ -333,8 +336,8 @@ class ReadingDistribution:
     def _moments_given_signal(self, signal: np.ndarray) -> np.ndarray:
         """Return mean [DN] and variance [DN²] of a reading given its signal before read noise [2, signal]."""
         moments = np.empty((2, signal.size))
-        for start in range(0, signal.size, SIGNALS):
-            part = slice(start, start + SIGNALS)
+        for start in range(0, signal.size, SIGNALS_PER_BATCH):
+            part = slice(start, start + SIGNALS_PER_BATCH)
             first, band = self._pmf_given_signal(signal[part])
             column = np.arange(band.shape[1])
             # Relative to the first code.
@@ -344,7 +347,10 @@ class ReadingDistribution:
         return moments
 
     def _probabilities_below_zero(self, mean_e: np.ndarray) -> CodeProbabilities:
-        """As `probabilities`, for means below 0: the reading has read noise alone; slopes are finite differences."""
+        """Return the probabilities for means [mean] below 0 in e-, whose readings have read noise but no shot noise.
+
+        Slopes are central differences. Without read noise they are 0.
+        """
         step = NEGATIVE_LIGHT_STEP * self.sensor.read_noise_e
         first, band = self._pmf_given_signal(self.charge_signal(np.concatenate([mean_e, mean_e - step, mean_e + step])))
         lowest = int(first.min())
@@ -353,9 +359,9 @@ class ReadingDistribution:
         return CodeProbabilities(lowest, probability, (after - before) / (2 * step) if step else 0 * probability)
 
     def _pmf_given_signal(self, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first code [signal] and the band of probabilities [signal, code] for signals [signal] in DN.
+        """Return the first code [signal] and the band of code probabilities [signal, code] of signals [signal] in DN.
 
-        The signals are without read noise. The band holds the probabilities of the codes from the first one on.
+        The signals are those before read noise. Column j of the band is for the code `first` + j.
         """
         lowest, edges = self._find_code_edges(signal)
         if self.noise_dn == 0:
@@ -365,9 +371,10 @@ class ReadingDistribution:
         return first + lowest, band
 
     def _find_code_edges(self, signal: np.ndarray) -> tuple[int, np.ndarray]:
-        """Return the lowest code that signals with read noise reach, and the signal at which each code ends [DN].
+        """Return the lowest code of signals [signal] in DN with read noise, and the upper ends of the codes.
 
-        The edges [code] begin with that of the lowest code and leave out that of the highest code, which has no end.
+        The ends [edge] in DN are the signals with read noise at which the reading changes to the next code, from the
+        lowest code on. The highest code has no end.
         """
         half_width = NOISE_SD * self.noise_dn
         low, high = float(np.min(signal)) - half_width, float(np.max(signal)) + half_width
@@ -384,10 +391,10 @@ class ReadingDistribution:
     def _at_readings(
         self, reading: ArrayLike, light: ArrayLike, values_of: Callable, outside: tuple[float, float]
     ) -> np.ndarray:
-        """Return values at readings [DN] and light [DN], which broadcast.
+        """Return a function of the code, such as its probability, at readings [DN] and light [DN], which broadcast.
 
-        `values_of` computes values [mean, code] from `CodeProbabilities`. `outside` are the values for readings below
-        and above all codes.
+        `values_of` computes the function [mean, code] from `CodeProbabilities`. `outside` are its values for readings
+        below the lowest code and above the highest one. Readings that are no whole number are rounded down.
         """
         reading, light = np.broadcast_arrays(np.asarray(reading), np.asarray(light, float))
         mean_e, index = np.unique(self.mean_electrons(light), return_inverse=True)
@@ -418,7 +425,7 @@ def invert_transfer(transfer: Transfer, targets: np.ndarray, low: float, high: f
 
 
 def _split_into_blocks(mean_e: np.ndarray) -> Iterator[slice]:
-    """Yield slices of increasing means [mean] in e- that are summed at a time.
+    """Yield consecutive slices of increasing means [mean] in e-; the means of a slice are processed together.
 
     A block has at most `BLOCK` means within `BLOCK_SPAN` standard deviations, and either all are below 0 or none.
     """
@@ -432,7 +439,7 @@ def _split_into_blocks(mean_e: np.ndarray) -> Iterator[slice]:
 
 
 def _fill_columns(first: np.ndarray, band: np.ndarray, size: int) -> np.ndarray:
-    """Return an array [row, column] of `size` columns that holds the band [row, …] from column `first` [row] on."""
+    """Return an array [row, `size`] of 0 into which each row of a band [row, …] is copied from column `first` [row]."""
     columns = np.zeros((first.size, size))
     np.put_along_axis(columns, first[:, None] + np.arange(band.shape[1]), band, axis=1)
     return columns

@@ -1,8 +1,11 @@
 """Tables of the reading's distribution under faint light, for the compiled kernel of the spot fit.
 
-The kernel treats bright light as normal. Under faint light a reading is skewed, clipped at black, or rounded more
-coarsely than its noise: there it looks up the probability of a reading. The tables are those of `ReadingDistribution`.
-A level is a mean number of electrons of a pixel at which a table holds the distribution.
+Light is faint if the distribution of a reading is visibly not normal: it is skewed, clipped at 0 DN, or its noise is
+less than the rounding. The kernel then looks up the probability of a reading in these tables, which are computed with
+`ReadingDistribution`. Under bright light it uses a formula.
+
+A level is a mean number of electrons ν [e-] of a pixel, light and dark current together, at which a table holds the
+distribution. A reading is a whole number of DN (digital numbers) from 0 on. Brackets give the shape of an array.
 """
 
 from dataclasses import dataclass, replace
@@ -16,15 +19,16 @@ from spotcheck.sensor.model import SensorModel
 
 # A Poisson distribution of this mean [e-] passes for normal.
 FAINT_E = 32.0
-# The table also covers light at which readings are clipped at 0 within so many standard deviations of the read noise,
-# and light at which the noise of a reading is below so many DN.
-CLIP_REACH, FINE_DN = 6.0, 0.6
+# The table also covers light whose mean reading is less than CLIP_REACH standard deviations of the read noise above 0,
+# where some readings are clipped, and light at which the standard deviation of a reading is below LEAST_NOISE_DN [DN],
+# where the error of rounding depends on the signal.
+CLIP_REACH, LEAST_NOISE_DN = 6.0, 0.6
 # Largest level [e-], for converters whose step is many electrons: rounding then hides what the noise would show.
 LARGEST_TABLE_E = 2000.0
-# Levels for each standard deviation of the read noise, or for each electron if the read noise is less than one.
-LEVELS = 8
-# Parts of a DN in which a reading less an offset is tabulated. Within one part a score is nearly linear, even without
-# noise.
+# Number of levels per standard deviation of the read noise, or per electron if the read noise is less than one.
+LEVELS_PER_NOISE = 8
+# Number of parts of a DN for tables of readings less a pixel's offset. Within one part the score ∂ ln P/∂ν is nearly
+# linear in the reading, even without noise.
 PARTS = 8
 # A reading less likely than this is treated as normal: its exact slope would be 0/0.
 IMPROBABLE = 1e-250
@@ -37,9 +41,9 @@ class FaintTable:
     lowest_e: float  # mean electrons of the first level [e-]
     step_e: float  # distance between levels [e-]
     probability: np.ndarray  # probability of the readings 0, 1, 2 … DN [level, reading]
-    slope: np.ndarray  # derivative of the probability by the mean electrons [level, reading, 1/e-]
-    mean: np.ndarray  # mean reading [level, DN]
-    variance: np.ndarray  # variance of the reading [level, DN²]
+    slope: np.ndarray  # derivative of the probability by the mean electrons [level, reading] in 1/e-
+    mean: np.ndarray  # mean reading [level] in DN
+    variance: np.ndarray  # variance of the reading [level] in DN²
 
     @property
     def levels(self) -> np.ndarray:
@@ -49,13 +53,14 @@ class FaintTable:
 
 @lru_cache(maxsize=8)
 def tabulate_faint_light(sensor: SensorModel) -> FaintTable:
-    """Return the table of a sensor, cached, up to the level from which on readings are normal.
+    """Return the table of a sensor, up to the level from which on readings are normal. The result is cached.
 
-    The levels are so close that the noise makes every probability smooth between them.
+    The sensor's dark current is ignored, as a level includes the dark electrons. Levels are a small part of the noise
+    apart, so that probabilities can be interpolated between them.
     """
     gain, noise, black = sensor.gain_dn_per_e, sensor.read_noise_e, sensor.black_level_dn
-    highest = max(FAINT_E, CLIP_REACH * noise - black / gain, (FINE_DN / gain) ** 2 - noise**2)
-    step = max(noise, 1.0) / LEVELS
+    highest = max(FAINT_E, CLIP_REACH * noise - black / gain, (LEAST_NOISE_DN / gain) ** 2 - noise**2)
+    step = max(noise, 1.0) / LEVELS_PER_NOISE
     # Further below 0, read noise alone moves the reading, which the kernel treats by itself.
     below_zero = 0.0 if noise == 0 else CLIP_REACH * noise + 0.5 / gain
     levels_below_zero = int(np.ceil(below_zero / step))
@@ -77,7 +82,7 @@ def _build_table(lowest_e: float, step_e: float, probability: np.ndarray, slope:
 
 @lru_cache(maxsize=8)
 def tabulate_between_codes(sensor: SensorModel, extra_e2: float) -> tuple[SensorModel, FaintTable]:
-    """Return a sensor with finer DN and its table, for readings from which the offset of a pixel was subtracted.
+    """Return (sensor with a finer DN, its table), for readings from which the offset of a pixel was subtracted.
 
     Such a reading is no whole number of DN. A DN of the fine sensor is 1/`PARTS` DN of the real one. Its table
     interleaves tables for black levels 1/`PARTS` DN apart: they give the distribution of reading − offset for offsets

@@ -1,7 +1,8 @@
 """The linear camera model of EMVA 1288 with a curved response: its parameters, and how readings are linearized.
 
-Photons fall on a pixel, electrons are what it collects, and the light is K times the mean photo-electrons: the signal
-[DN] without black level and dark current. Equations are those of the paper unless EMVA 1288 is named.
+A reading is a whole number of DN (digital numbers). The light of a pixel is the gain K [DN/e-] times its mean number of
+photo-electrons: the mean signal [DN] without black level and dark current. Equations are those of the paper unless
+EMVA 1288 is named.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ ROUNDING_VARIANCE = 1 / 12
 class SensorModel:
     """A camera after EMVA 1288: mean and variance of a reading, and random readings.
 
-    Light is the mean number of photons that fall on a pixel during the exposure. Photons become electrons with the
+    The input is the mean number of photons that fall on a pixel during the exposure. Photons become electrons with the
     quantum efficiency, and dark current adds electrons; both are Poisson distributed. Then follow full well, read
     noise, gain, response curvature, black level, one rounding to whole DN, and the converter's ends at 0 and at full
     scale. `spotcheck.sensor.ReadingDistribution` is the whole distribution.
@@ -111,7 +112,10 @@ class SensorModel:
         return ReadingDistribution(self, exposure_s).sample(self.light_of_photons(photons), np.random.default_rng(rng))
 
     def light_of_photons(self, photons: ArrayLike) -> np.ndarray:
-        """Return the light K η µ_p [DN] of a mean number of photons; raises ValueError as `mean` does."""
+        """Return the light K η µ_p [DN] of a mean number of photons µ_p, in its shape; raises ValueError as `mean`.
+
+        K is the gain [DN/e-] and η the quantum efficiency.
+        """
         check_sensor(self)
         photons = np.asarray(photons, dtype=float)
         if not np.all(photons >= 0):
@@ -147,7 +151,8 @@ class NoiseLine(NamedTuple):
 def noise_line(sensor: SensorModel | None) -> NoiseLine:
     """Return the noise line σ_y² = K² σ_d² + 1/12 + K (µ_y − black level) of a linear sensor (EMVA 1288, Eq. 14).
 
-    K is the gain, σ_d the read noise [e-], µ_y the mean reading [DN]. Without a sensor both numbers are NaN.
+    σ_y² is the variance of a reading [DN²], K the gain [DN/e-], σ_d the read noise [e-], and µ_y the mean reading [DN].
+    The term 1/12 is the variance of rounding. Without a sensor both numbers are NaN.
     """
     if sensor is None:
         return NoiseLine(np.nan, np.nan)

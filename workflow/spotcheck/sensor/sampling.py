@@ -1,6 +1,8 @@
 """Random readings: one random number and one look-up in a table for each pixel.
 
-Tables hold the distribution of the reading at nodes of light, which are 1/32 of a standard deviation apart. For light
+Tables hold the distribution of the reading at certain values of the light, the nodes, which are 1/32 of a standard
+deviation of the light's shot noise and read noise apart. The light is K times the mean photo-electrons of a pixel, in
+DN (digital numbers) without black level; K is the gain [DN/e-]. Brackets give the shape of an array. For light
 between two nodes one of them is chosen at random, so that the mean light is right. Each probability then has a relative
 error of about 1.3e-4 (z² + 1), z standard deviations from the mean, and of some times that next to a clip. At a node,
 an alias table (Walker 1977, doi:10.1145/355744.355749) converts the rest of the random number to a reading.
@@ -33,9 +35,9 @@ NODES_PER_SD = 32
 # Most words of a sensor's tables, 4 bytes each, and most nodes, whose positions then fit in 31 bits. Readings under
 # brighter light are drawn step by step.
 MOST_WORDS, MOST_NODES = 6_000_000, 32_000
-# Nodes whose distributions are computed at a time.
+# Number of nodes whose distributions are computed at a time.
 BLOCK = 64
-# Codes of less probability are left out at either end of a node.
+# Codes of less probability are left out at the lower and the upper end of a node's distribution.
 LEFT_OUT = 1e-13
 # Pixels that are drawn at a time: their buffers stay in the fastest cache.
 CHUNK = 2048
@@ -48,7 +50,10 @@ CODE_SHIFT, WORD_SHIFT = np.uint64(17), np.uint64(33)
 
 @dataclass(frozen=True, eq=False)
 class AliasTables:
-    """Alias tables of all nodes; nodes are uniform in the root of (mean electrons + noise²)."""
+    """Alias tables of all nodes; nodes are uniform in √(mean electrons + noise²), called the root below.
+
+    The noise is the read noise [e-], but at least `LEAST_NOISE_E`. Mean electrons include the dark current.
+    """
 
     first_root: float  # root of the first node [e-^½], the one without electrons
     step: float  # distance between nodes in the root [e-^½]

@@ -1,5 +1,9 @@
 """Mean, variance and information of a reading as a table over the light, for everything that evaluates many pixels.
 
+The light L is the gain K [DN/e-] times the mean photo-electrons of a pixel: the signal in DN (digital numbers) without
+black level. A slope is a derivative by L. Brackets give the shape of an array: [node] has one item per node, and
+[moment, node] has the rows mean, variance, slope of the mean, and slope of the variance.
+
 A node is a light at which the moments of a reading are exact. Between nodes each moment is the cubic with the exact
 values and slopes at both nodes. Nodes are a sixth of a standard deviation apart. Noise smooths every kink over a whole
 standard deviation, so the error of the mean is below 1e-4 standard deviations.
@@ -34,24 +38,25 @@ MOST_SATURATION = 64.0
 # Smallest noise [e-] in the distance of nodes, here and for random readings: the Poisson distribution changes on the
 # scale of one electron.
 LEAST_NOISE_E = 0.25
-# Smallest exponent of the variance below no light; see `ReadingTable`.
+# Smallest exponent of the variance under negative light (`ReadingTable`), which therefore stays above e^-3 of the
+# variance without light.
 LOWEST_EXPONENT = -3.0
 # Step for second derivatives by the light with smear, in standard deviations, and the least part of the variance that
 # remains after the shot noise of the smear is subtracted.
 SMEAR_STEP, LEAST_SHARE = 0.25, 0.2
-# Step in ln g of the average over granular light, in units of the contrast.
+# Step in ln g of the average over the factors g of granular light, as a multiple of the contrast.
 GRAIN_STEP = 0.05
 # Upper limit of that step.
 LARGEST_GRAIN_STEP = 0.01
 # Lower limit of that step: tables with finer ones grow long. The rule is accurate up to steps of one standard
 # deviation.
 FINEST_GRAIN_STEP = 0.002
-# Probability of small factors g that are left out.
+# Probability of the smallest factors g, which are left out of the average.
 LEFT_OUT = 1e-9
-# Nodes of the average over a contrast below `FINEST_GRAIN_STEP`.
-FAINT_GRAIN_NODES = 5
-# Light [DN] from which on averages over granular light are convolutions.
-FAINT_LIGHT = 0.05
+# Number of Gauss–Hermite points of the average over g for a contrast below `FINEST_GRAIN_STEP`.
+LOW_CONTRAST_POINTS = 5
+# Light [DN] from which on averages over g are computed as convolutions over ln L, which would be long for less light.
+LEAST_CONVOLVED_LIGHT = 0.05
 # Signals that are searched for saturation: first and last as multiples of full scale, and their number.
 SATURATION_GRID = (1e-2, 64.0, 400)
 
@@ -181,7 +186,7 @@ class ReadingTable:
         is_faint = np.ones(light.size, bool)
         # Factors that are uniform in their logarithm allow a convolution.
         if factor.size > 1 and np.ptp(log_steps) < 1e-9:
-            is_faint = light < FAINT_LIGHT
+            is_faint = light < LEAST_CONVOLVED_LIGHT
             mixed[:, ~is_faint] = self._convolve(factor, weight, float(log_steps[0]), pedestal_dn, light[~is_faint])
         for k in np.flatnonzero(is_faint):
             mixed[:, k] = _mix(self.moments(factor * light[k] + pedestal_dn), factor, weight)
@@ -190,11 +195,12 @@ class ReadingTable:
     def _convolve(
         self, factor: np.ndarray, weight: np.ndarray, step: float, pedestal_dn: float, light: np.ndarray
     ) -> np.ndarray:
-        """Return the nodes of `with_random_factor` [moment, light] at light [light] for factors `step` apart in ln g.
+        """Return the moments of `with_random_factor` [moment, light] at light [light] in DN.
 
+        `factor` and `weight` [value] are as there, with values of ln g that are `step` apart.
         A reading depends on the product of factor and light, so that averages are convolutions over ln L.
         """
-        ln_light = np.arange(np.log(FAINT_LIGHT) - step, np.log(light[-1]) + 2 * step, step)
+        ln_light = np.arange(np.log(LEAST_CONVOLVED_LIGHT) - step, np.log(light[-1]) + 2 * step, step)
         product = np.exp(ln_light[0] + np.log(factor[0]) + step * np.arange(ln_light.size + factor.size - 1))
         moments = self.moments(product + pedestal_dn)
         # First and second moment about 0, and their derivatives by ln L.
@@ -230,7 +236,7 @@ def grain_quadrature(*, contrast: float) -> tuple[np.ndarray, np.ndarray]:
     converges faster than any power of the step.
     """
     if contrast < FINEST_GRAIN_STEP:
-        return _faint_grains(contrast)
+        return _low_contrast_quadrature(contrast)
     shape = contrast**-2
     # For small g the density of ln g falls as g^shape; for large g as exp(−shape (g − 1 − ln g)).
     ln_g = _space_log_factors(contrast, np.log(LEFT_OUT) / shape - 6 * contrast)
@@ -255,16 +261,22 @@ def partial_grain_quadrature(*, contrast: float, floor: float) -> tuple[np.ndarr
     return np.exp(ln_g), weight / weight.sum()
 
 
-def _faint_grains(contrast: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return factors [value] and weights [value] of a normal distribution, which a gamma of low contrast resembles."""
+def _low_contrast_quadrature(contrast: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return factors g [value] and weights [value] of a normal distribution of mean 1 and deviation `contrast`.
+
+    A gamma distribution of so low a contrast is nearly normal. A contrast of 0 gives the single factor 1.
+    """
     if contrast == 0:
         return np.ones(1), np.ones(1)
-    deviations, weights = np.polynomial.hermite_e.hermegauss(FAINT_GRAIN_NODES)
+    deviations, weights = np.polynomial.hermite_e.hermegauss(LOW_CONTRAST_POINTS)
     return 1 + contrast * deviations, weights / weights.sum()
 
 
 def _space_log_factors(contrast: float, lowest: float) -> np.ndarray:
-    """Return uniform values of ln g [value] from about `lowest` to that of the brightest light that counts."""
+    """Return uniform values of ln g [value] from about `lowest` to ln(1 + 8 C + 25 C²), C the contrast.
+
+    Larger factors have a negligible probability.
+    """
     step = float(np.clip(GRAIN_STEP * contrast, FINEST_GRAIN_STEP, LARGEST_GRAIN_STEP))
     highest = np.log1p(8 * contrast + 25 * contrast**2)
     return step * np.arange(np.floor(lowest / step), np.ceil(highest / step) + 1)
