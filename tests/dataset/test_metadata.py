@@ -228,6 +228,30 @@ def test_folders_count_below_the_root(tmp_path):
     assert said(read_metadata(path)) == {"number": 1}
 
 
+@pytest.mark.parametrize(
+    ("text", "pitch_um"),
+    [
+        ("Pixel size = 4.8 um\nBinning = 3x3", 14.4),
+        ("PixelSize: 2.4 µm; BinningHorizontal: 4; BinningVertical: 4", 9.6),
+        ('{"camera": {"pixel_pitch_um": 5.5, "binning": [2, 2]}}', 11.0),
+        ('{"Binning": "2", "SensorPixelSize": "6.5 um", "PixelSizeUm": 13}', 13.0),
+        ("<a><PixelSize unit='um'>3.2</PixelSize><Binning>2 × 2</Binning></a>", 6.4),
+        ("Pixel size = 4.8 um\nBinning = 1x1", 4.8),
+        ("Pixel size = 4.8 um\nBinning = off", 4.8),
+        ("Pixel size = 4.8 um\nBinning = by the driver", 4.8),
+        # Pixels that are not square have no pitch, and sources that disagree give none.
+        ("Pixel size = 4.8 um\nBinning = 2x1", None),
+        ("PixelSize = 4.8 um\nXBinning = 2\nYBinning = 1", None),
+        ("Pixel size = 4.8 um\nBinning = 2x1\nbin = 2", None),
+    ],
+)
+def test_pixel_pitch_includes_the_binning(text, pitch_um):
+    """The pitch of the image is that of the sensor times the binning, whatever the keys and their order."""
+    agreed, _ = resolve_entries(key_values.parse_text(text, "here"))
+    entry = agreed.get("sensor.pixel_pitch_m")
+    assert (entry and entry.value) == (pitch_um and pytest.approx(1e-6 * pitch_um))
+
+
 @pytest.mark.parametrize("pages", [(0,), (0, 2)])
 def test_what_the_first_page_says_alone_is_of_all(tmp_path, pages):
     """Else each page speaks for itself."""

@@ -250,3 +250,17 @@ def test_an_empty_folder_gets_a_template(tmp_path, capsys):
     assert "fill in the blanks" in capsys.readouterr().out and (tmp_path / "new" / "frames").is_dir()
     with pytest.raises(InputError, match=r"frames/first\.tif is not there"):
         dataset.check_files(dataset.load(tmp_path / "new"))
+
+
+@pytest.mark.parametrize(("binning", "pitch_m"), [("2x2", 9.6e-6), ("2x1", None)])
+def test_binning_changes_the_pixel_pitch(tmp_path, capsys, binning, pitch_m):
+    """Multiplied by an equal binning; by an unequal one left blank, until the pitch of the frames is given."""
+    saved(tmp_path, "a.tif", "b.tif", description=f"Pixel size = 4.8 um\nBinning = {binning}")
+    found, said = new(tmp_path, capsys=capsys)
+    assert found.instrument.sensor.pixel_pitch_m == (pitch_m and pytest.approx(pitch_m))
+    assert ("rows and columns are binned differently" in said) is (pitch_m is None)
+    for name in ("manifest.csv", "instrument.yaml"):
+        (tmp_path / name).unlink()
+    found, said = new(tmp_path, "--set", "sensor.pixel_pitch_m=4.8um", capsys=capsys)
+    assert found.instrument.sensor.pixel_pitch_m == pytest.approx(4.8e-6)
+    assert "binned differently" not in said

@@ -161,6 +161,14 @@ def test_a_folder_gives_m2_by_the_names_of_its_files(scan):
     assert "z: from the file name" in found.remarks
 
 
+@pytest.mark.parametrize(("factor", "is_flagged"), [(0.5, True), (1.0, False)])
+def test_m2_below_one_is_flagged(scan, factor, is_flagged):
+    """Half of the pitch, as of a binning that nothing states, gives a quarter of M² 1.3, which no beam can have."""
+    report = str(spotcheck.look(scan, pixel_pitch_m=factor * PITCH, wavelength_m=WAVELENGTH)).replace("\n  ", " ")
+    assert ("which no beam can have" in report) is is_flagged
+    assert ("the pixel pitch (4e-06 m)" in report) is is_flagged
+
+
 def test_positions_that_are_given_go_before_those_of_names(scan):
     """And there must be one for each."""
     files = sorted(scan.iterdir(), key=lambda path: natural_sort_key(path.name))

@@ -25,6 +25,7 @@ from scipy import optimize, stats
 
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.beam_axes import BeamAxes, SpotWidths, fit_beam_axes, project_widths
+from spotcheck.fitting.beam_quality import describe_impossible_m2, list_low_axes
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.variables import add_variable
 from spotcheck.io import store
@@ -46,8 +47,6 @@ COEFFICIENTS = 3
 FEWEST_POSITIONS = 4
 # Confidence level of the intervals of the file and the figure.
 LEVEL = 0.6827
-# M² below 1 by this many standard errors means a wrong input: a perfect beam gives it in 1 of 700 scans.
-IMPOSSIBLE_SIGMAS = 3.0
 # Least relative scatter [1] of the radii, which stands for 0, and the largest that is tried.
 LEAST_SCATTER, LARGEST_SCATTER = 1e-9, 10.0
 # Iterations of the weights, which follow the fitted curve.
@@ -372,19 +371,12 @@ def _check_m2(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
     The remark asks to correct the input if M² is below 1 significantly, and otherwise not to quote M². `pitch` [m] and
     `wavelength` [m] are those of the instrument file.
     """
-
-    def list_low_axes(sigmas: float) -> str:
-        """Return the axes whose M² is below 1 by more than `sigmas` standard errors, with M²; "" if there are none."""
-        axes = zip(AXES, ds["m2"].values, ds["m2_stderr"].values, strict=True)
-        return ", ".join(f"{name} {quantity_text(m2, stderr)}" for name, m2, stderr in axes if m2 + sigmas * stderr < 1)
-
-    if low := list_low_axes(IMPOSSIBLE_SIGMAS):
-        return [
-            f"M² is below 1 ({low}), which no beam can have; it grows with sensor.pixel_pitch_m ({pitch:g}) squared"
-            f" and falls with laser.wavelength_m ({wavelength:g}) and with the unit of {CONDITION}: correct the wrong"
-            " one, unless the camera sees an image of the beam and not the beam"
-        ]
-    if low := list_low_axes(1.0):
+    values = zip(ds["m2"].values.tolist(), ds["m2_stderr"].values.tolist(), strict=True)
+    m2_by_axis = dict(zip(AXES, values, strict=True))
+    factors = f"sensor.pixel_pitch_m ({pitch:g})", f"laser.wavelength_m ({wavelength:g})", CONDITION
+    if remark := describe_impossible_m2(m2_by_axis, *factors):
+        return [remark]
+    if low := list_low_axes(m2_by_axis, 1.0):
         return [
             f"M² is below 1 ({low}), so do not quote it: a Gaussian fit leaves out light outside the Gaussian, which M²"
             " after ISO 11146 includes; take M² by second moments, which `spotcheck look` gives"

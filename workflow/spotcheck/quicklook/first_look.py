@@ -10,12 +10,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from spotcheck.dataset.metadata.entry import PITCH
 from spotcheck.errors import InputError
 from spotcheck.io import progress
 from spotcheck.quicklook import json_report, text_report
 from spotcheck.quicklook.camera import Camera, estimate_camera
 from spotcheck.quicklook.image_analysis import ImageResult, analyse_image
-from spotcheck.quicklook.images import PITCH, WAVELENGTH, Image, ImageInput, Z, find_common_value, open_images
+from spotcheck.quicklook.images import WAVELENGTH, Image, ImageInput, Z, find_common_value, open_images
 from spotcheck.quicklook.scan import BeamScan, fit_scan
 
 # Longest plausible scan [m]; longer ones are probably in mm.

@@ -15,8 +15,8 @@ from spotcheck.io.formats.colour import CHANNELS, MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 from spotcheck.io.formats.page import Page
 
-# Columns and keys of the metadata that a first look uses: position along the beam, pixel pitch, wavelength.
-Z, PITCH, WAVELENGTH = "z_m", "sensor.pixel_pitch_m", "laser.wavelength_m"
+# Column and key of the metadata that a first look uses beside the pixel pitch: position along the beam, wavelength.
+Z, WAVELENGTH = "z_m", "laser.wavelength_m"
 
 ImageInput = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
 

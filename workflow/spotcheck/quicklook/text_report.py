@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from spotcheck.fitting.beam_axes import ROUND_RATIO
+from spotcheck.fitting.beam_quality import describe_impossible_m2
 from spotcheck.io.number_text import quantity_text
 from spotcheck.quicklook.camera import Camera
 from spotcheck.quicklook.image_analysis import GAUSSIAN_CHI2, ImageResult, Widths
@@ -259,13 +260,22 @@ def _describe_scan(scan: BeamScan) -> list[str]:
 
 
 def list_scan_cautions(look: Look) -> list[str]:
-    """Return cautions about M²: which one to use if spots have wings, and if positions do not follow ISO 11146-1.
+    """Return cautions about M²: if it is below 1, which one to use, and if positions do not follow ISO 11146-1.
 
     The list is empty if there is nothing to say.
     """
     if not look.beams:
         return []
     cautions = []
+    factors = f"the pixel pitch ({look.pixel_pitch_m:g} m)", f"the wavelength ({look.wavelength_m:g} m)", "z"
+    for scan in look.beams:
+        m2_by_axis = {
+            f"{scan.method}, {axis}": (caustic.m2, caustic.m2_stderr) for axis, caustic in scan.caustics.items()
+        }
+        if caution := describe_impossible_m2(m2_by_axis, *factors):
+            cautions.append(caution)
+            # Both methods have the same pitch, wavelength and positions: one caution tells all.
+            break
     if any(image.width_excess > 0 for image in look.images):
         cautions.append(
             "use M² by second moments: fits ignore light outside the Gaussian, which ISO 11146 includes, so their M² is"

@@ -3,10 +3,12 @@
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 # Numbers that differ by less than this fraction are equal: file names round what tags store to more digits.
 ROUNDING_TOLERANCE = 0.01
+# Key of the pixel pitch, and the column of the binning: side of the square of sensor pixels that are read as one.
+PITCH, BINNING = "sensor.pixel_pitch_m", "binning"
 
 
 @dataclass(frozen=True)
@@ -16,13 +18,14 @@ class MetadataEntry:
     Attributes
     ----------
     column : column of manifest.csv (`kind`, `angle_deg`, `exposure_s`, `repeat`, `z_m`, `date`, `photons_per_px`), key
-        of instrument.yaml (`sensor.pixel_pitch_m`, …), or `number` for the number at the end of a file name. None if
-        the text was not understood.
-    value : number in the unit of `column`, or a word or date. None if the unit of the number is missing or the text was
-        not understood.
+        of instrument.yaml (`sensor.pixel_pitch_m`, …), `number` for the number at the end of a file name, or
+        `binning`. None if the text was not understood.
+    value : number in the unit of `column`, or a word or date. None if the unit of the number is missing, the text was
+        not understood, or the binning differs between rows and columns.
     text : the text that was read, as messages show it.
     source : where the text was found, such as "TIFF tag 306 DateTime".
     page : page of the stack that the entry describes; None for all pages.
+    includes_binning : whether a pixel pitch is that of the binned pixels, not of the pixels of the sensor.
     """
 
     column: str | None
@@ -30,6 +33,7 @@ class MetadataEntry:
     text: str
     source: str
     page: int | None = None
+    includes_binning: bool = False
 
     @property
     def source_pattern(self) -> str:
@@ -63,20 +67,47 @@ def resolve_entries(
     Returns
     -------
     agreed : dict
-        By column, the first entry of each column whose entries are all consistent with it.
+        By column, the first entry of each column whose entries are all consistent with it. The pixel pitch is that of
+        the image: multiplied by the binning, and missing if rows and columns are binned differently.
     conflicts : dict
         By column, the first entry of each other column, and the first that contradicts it.
     """
-    agreed, conflicts = {}, {}
-    usable = (entry for entry in entries if entry.value is not None and entry.page in (None, page))
-    for column, candidates in group_by_column(usable).items():
+    agreed: dict[str, MetadataEntry] = {}
+    conflicts: dict[str, tuple[MetadataEntry, MetadataEntry]] = {}
+    of_page = [entry for entry in entries if entry.page in (None, page)]
+    binned = _apply_binning(of_page)
+    for column, candidates in group_by_column(entry for entry in binned if entry.value is not None).items():
         first_entry = candidates[0]
         contradicting = next((entry for entry in candidates if not is_consistent(first_entry, entry)), None)
         if contradicting is None:
             agreed[column] = first_entry
         else:
             conflicts[column] = first_entry, contradicting
+    if len(binned) == len(of_page):
+        # A binning on which the sources disagree matters only to the pixel pitch.
+        conflicts.pop(BINNING, None)
     return agreed, conflicts
+
+
+def _apply_binning(entries: list[MetadataEntry]) -> list[MetadataEntry]:
+    """Return the entries of a page with pixel pitches multiplied by the binning, or removed if that is not one number.
+
+    Pitches that include the binning are returned as they are.
+    """
+    binnings = {entry.value: entry for entry in entries if entry.column == BINNING}
+    if not set(binnings) - {1}:
+        return entries
+    # ASSUME: cameras and their programs state the pixel size of the sensor, which binning does not change.
+    is_sensor_pitch = [entry.column == PITCH and not entry.includes_binning for entry in entries]
+    factor, binning = next(iter(binnings.items()))
+    if len(binnings) > 1 or not isinstance(factor, int):
+        return [entry for entry, is_unbinned in zip(entries, is_sensor_pitch, strict=True) if not is_unbinned]
+    return [
+        replace(entry, value=entry.value * factor, text=f"{entry.text} × {factor} ({binning.text})")
+        if is_unbinned and isinstance(entry.value, float)
+        else entry
+        for entry, is_unbinned in zip(entries, is_sensor_pitch, strict=True)
+    ]
 
 
 def is_consistent(first: MetadataEntry, second: MetadataEntry) -> bool:

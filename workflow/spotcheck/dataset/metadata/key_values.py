@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from spotcheck.dataset.metadata import units
-from spotcheck.dataset.metadata.entry import MetadataEntry
+from spotcheck.dataset.metadata.entry import BINNING, PITCH, MetadataEntry
 
 # Limits: characters of a text that are parsed, keys that are read from it, characters of an entry that a message shows.
 LONGEST_TEXT, MOST_KEYS, LONGEST_SHOWN = 1_000_000, 2000, 60
@@ -26,7 +26,11 @@ KEYS: dict[str, tuple[str, str]] = {
         ),
         ("angle_deg", "deg"): "angle ang rotation theta rotationangle fibreangle",
         ("z_m", "m"): "z zpos zposition positionz posz stagez zstage distance dist defocus",
-        ("sensor.pixel_pitch_m", "m"): "pixelsize pixelpitch pitch sensorpixelsize",
+        (PITCH, "m"): "pixelsize pixelpitch pitch sensorpixelsize",
+        (BINNING, BINNING): (
+            "binning bin binningx binningy xbinning ybinning binningmode camerabinning detectorbinning pixelbinning"
+            " binninghorizontal binningvertical horizontalbinning verticalbinning hbin vbin binx biny xbin ybin"
+        ),
         ("laser.wavelength_m", "m"): "wavelength laserwavelength lambda",
         ("sensor.gain_dn_per_e", "dn_per_e"): "gain",
         ("repeat", "count"): "repeat rep shot run",
@@ -36,6 +40,10 @@ KEYS: dict[str, tuple[str, str]] = {
     }.items()
     for key in keys.split()
 }
+# Keys of pixel sizes that include the binning, in the spelling of `normalize_key`: Micro-Manager's PixelSizeUm.
+BINNED_PITCH_KEYS = ("pixelsizeum",)
+# Binning off, as words.
+NO_BINNING = ("none", "off", "no", "false")
 # Kind of a frame by the words that name it.
 KIND_WORDS = {
     **dict.fromkeys("dark darks darkframe bias background bg bkg".split(), "dark"),
@@ -55,6 +63,8 @@ _LINE = re.compile(r"([^\W\d][^=:]{0,59})[=:](.+)")
 _KEY_UNIT = re.compile(
     rf"(.*?)(?:[\s_-]*[(\[]|[\s_-]|(?<=[a-z])(?=[A-Z]))((?i:{units.UNIT_PATTERN})|dn_per_e)[)\]]?",
 )
+# Binning of columns and perhaps of rows: 2, 2x2, 2 × 2, 2,2, (2, 2), "Bin2x2".
+_BINNING = re.compile(r"(?i:bin(?:ning)?)?\s*[\[({]?\s*(\d{1,2})(?:\s*(?:[x×*,:]|\s|by)\s*(\d{1,2}))?\s*[\])}]?", re.I)
 # A date with a four-digit year first, perhaps with a time.
 _DATE = re.compile(r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)(?:[T ](\d\d:\d\d(?::\d\d(?:\.\d{1,6})?)?))?.*")
 
@@ -91,7 +101,7 @@ def _split_pairs(text: str) -> Iterable[tuple[str, Any]]:
 def flatten_keys(content: Any) -> Iterator[tuple[str, Any]]:
     """Yield the keys and scalar values of nested dictionaries, and of dictionaries in lists; None is skipped.
 
-    Keys are those of the innermost dictionary. Numbers and texts in lists are dropped.
+    Keys are those of the innermost dictionary. Numbers and texts in lists are dropped, except those of the binning.
     """
     # A stack instead of recursion, which deep nesting would exhaust.
     stack = [("", content)]
@@ -99,6 +109,8 @@ def flatten_keys(content: Any) -> Iterator[tuple[str, Any]]:
         key, value = stack.pop()
         if isinstance(value, dict):
             stack += [(str(name), item) for name, item in reversed(value.items())]
+        elif isinstance(value, list) and KEYS.get(normalize_key(key), ("",))[0] == BINNING:
+            yield key, ",".join(map(str, value))
         elif isinstance(value, list):
             stack += [(key, item) for item in value[:MOST_KEYS] if isinstance(item, dict)]
         elif value is not None:
@@ -151,7 +163,24 @@ def parse_pair(key: str, value: str, source: str, page: int | None = None) -> Me
     if column_and_dimension is None:
         return MetadataEntry(None, None, text, source, page)
     column, dimension = column_and_dimension
-    return MetadataEntry(column, parse_value(value, unit, dimension), text, source, page)
+    if dimension == BINNING:
+        return _parse_binning(value, text, source, page)
+    includes_binning = normalize_key(key) in BINNED_PITCH_KEYS
+    return MetadataEntry(column, parse_value(value, unit, dimension), text, source, page, includes_binning)
+
+
+def _parse_binning(value: str, text: str, source: str, page: int | None) -> MetadataEntry:
+    """Return the entry of a binning; its column is None for a text that is no binning.
+
+    The value is None if rows and columns are binned differently. `text`, `source` and `page` are those of the entry.
+    """
+    if normalize_key(value) in NO_BINNING:
+        return MetadataEntry(BINNING, 1, text, source, page)
+    match = _BINNING.fullmatch(value.strip())
+    if match is None or not all(int(number) for number in match.groups(default="1")):
+        return MetadataEntry(None, None, text, source, page)
+    columns, rows = match[1], match[2] or match[1]
+    return MetadataEntry(BINNING, int(columns) if columns == rows else None, text, source, page)
 
 
 def parse_value(value: str, unit: str, dimension: str) -> float | int | str | None:

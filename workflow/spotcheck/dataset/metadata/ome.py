@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, fromstring
 
 from spotcheck.dataset.metadata import units
 from spotcheck.dataset.metadata.entry import MetadataEntry
-from spotcheck.dataset.metadata.key_values import LONGEST_SHOWN, parse_date
+from spotcheck.dataset.metadata.key_values import LONGEST_SHOWN, parse_date, parse_pair
 
 # Most planes that are read, and most digits of a whole number.
 MOST_PLANES, MOST_DIGITS = 100_000, 9
@@ -37,6 +37,9 @@ def parse_ome_xml(text: str) -> Iterator[MetadataEntry]:
     for image in _find_all(root, "Image"):
         for pixels in _find_all(image, "Pixels"):
             yield from _parse_pixels(image, pixels)
+    for settings in _find_all(root, "DetectorSettings"):
+        if binning := settings.get("Binning"):
+            yield parse_pair("Binning", binning, "OME-XML DetectorSettings")
     for tag, name in SHOWN:
         for element in _find_all(root, tag):
             if value := element.get(name):

@@ -11,7 +11,7 @@ from dataclasses import replace
 from spotcheck.dataset.folder import get_column_unit
 from spotcheck.dataset.manifest import DATE, KINDS
 from spotcheck.dataset.metadata import units
-from spotcheck.dataset.metadata.entry import MetadataEntry, group_by_column, resolve_entries
+from spotcheck.dataset.metadata.entry import BINNING, PITCH, MetadataEntry, group_by_column, resolve_entries
 from spotcheck.dataset.metadata.key_values import parse_date
 from spotcheck.dataset.scan.folder_scan import FolderScan, ScannedFrame
 from spotcheck.errors import InputError
@@ -48,6 +48,10 @@ def resolve_frame(
     """
     entries = list[MetadataEntry]()
     for column, candidates in group_by_column(frame.metadata).items():
+        if column == BINNING:
+            # Also a binning without a value decides about the pixel pitch.
+            entries += candidates
+            continue
         answer = answers.get(column, "")
         # The answer is used as a unit only if no source gives a value, and as a source only if it is one.
         with_value = [entry for entry in candidates if entry.value is not None] or _apply_unit(candidates, answer)
@@ -58,6 +62,9 @@ def resolve_frame(
         if value is not None:
             agreed[column] = MetadataEntry(column, value, answer, "as you said")
             conflicts.pop(column, None)
+            if column == PITCH:
+                # The answer is the pitch of the frames, so that their binning no longer matters.
+                conflicts.pop(BINNING, None)
     return agreed, conflicts
 
 

@@ -4,12 +4,15 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from spotcheck.dataset.manifest import parse_number
+from spotcheck.dataset.metadata.entry import BINNING, PITCH
 from spotcheck.dataset.scan.answers import get_column_dimension
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, Conflict, ManifestDraft, UnusedMetadata
 from spotcheck.dataset.scan.folder_scan import FolderScan
 
 # Most different values that a line lists, and most examples of a longer list.
 MOST_VALUES, MOST_EXAMPLES = 6, 5
+# What an unclear binning means for the pixel pitch.
+PITCH_LEFT_BLANK = f"{PITCH} is left blank: give the pitch of the frames by --set {PITCH}=6.9um"
 
 
 def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterator[str]:
@@ -83,8 +86,11 @@ def _summarize_values(values: Sequence[str]) -> str:
 def _format_conflict(conflict: Conflict) -> str:
     """Return the message on two sources that disagree, with the answers that resolve it."""
     column, first, second, frames = conflict
+    disagreement = f"{column}: {first}, but {second}{f' ({frames} frames)' if frames > 1 else ''}"
+    if column == BINNING:
+        return f"{disagreement}; {PITCH_LEFT_BLANK}"
     return (
-        f"{column}: {first}, but {second}{f' ({frames} frames)' if frames > 1 else ''}; left blank: say which is right"
+        f"{disagreement}; left blank: say which is right"
         f' by --set "{column}={first.source_pattern}" or --set "{column}={second.source_pattern}"'
     )
 
@@ -95,7 +101,11 @@ def _list_gaps(draft: ManifestDraft) -> Iterator[str]:
         if files and len(files) < len(draft.rows) and any(row[column] for row in draft.rows):
             yield f"{column}: not found for {len(files)} of {len(draft.rows)} frames ({_join_examples(files)})"
     for unused in draft.unused:
-        if unused.column:
+        if unused.column == BINNING:
+            if PITCH in draft.instrument_keys:
+                continue
+            yield f"{_format_unused(unused)}: rows and columns are binned differently; {PITCH_LEFT_BLANK}"
+        elif unused.column:
             dimension = get_column_dimension(unused.column) if unused.column in METADATA_COLUMNS else None
             example_unit = {"s": "ms", "m": "mm"}.get(dimension or "")
             advice = f"; give it by --set {unused.column}={example_unit}" if example_unit else ""
