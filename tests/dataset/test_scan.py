@@ -56,6 +56,23 @@ def test_a_scan_by_its_names(tmp_path, capsys):
     assert not (tmp_path / "frames").exists()
 
 
+def test_check_names_what_a_run_will_skip(tmp_path, capsys):
+    """And the key that would change it, one after the other; nothing once all are given."""
+    new(saved(tmp_path, *(f"z_{z}mm.tif" for z in (176, 20, 100))), capsys=capsys)
+    given = "{bit_depth: 16}", "{bit_depth: 16, pixel_pitch_m: 5.0e-6}"
+    for sensor, laser, missing in (
+        (given[0], "{}", "sensor.pixel_pitch_m"),
+        (given[1], "{}", "laser.wavelength_m"),
+        (given[1], "{wavelength_m: 6.328e-7}", None),
+    ):
+        text = f"{{conditions: [z_m], crop_px: 20, sensor: {sensor}, laser: {laser}}}"
+        (tmp_path / "instrument.yaml").write_text(text, encoding="utf-8")
+        main(["check", str(tmp_path)])
+        skipped = [line for line in capsys.readouterr().out.splitlines() if line.startswith("will be skipped: ")]
+        assert "p1 and p2 need exposure times" in skipped[0]
+        assert [missing in line for line in skipped[1:]] == [True] if missing else skipped[1:] == []
+
+
 def test_hyphens_are_signs_where_there_are_both(tmp_path, capsys):
     """Else they part a word from its number."""
     found, _ = new(saved(tmp_path, "z-5mm.tif", "z0mm.tif", "z+5mm.tif"), capsys=capsys)

@@ -76,7 +76,9 @@ def test_steps(said):
         progress.begin_step("rest", 0.8, 1.0)
     shares = [int(own) for own in re.findall(r"(\d+) %", stream.getvalue())]
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 80
-    assert "judging, search, 7 so far: " in stream.getvalue() and "about" in stream.getvalue()
+    assert "judging, search, 7 so far: " in stream.getvalue()
+    # The times of the steps differ too much between datasets to foretell the rest.
+    assert "to go" not in stream.getvalue()
     # What is done outside belongs to no steps.
     progress.advance("nothing")
 
@@ -109,13 +111,12 @@ def test_time_to_go_runs_down(said, monkeypatch):
     unknown once it has passed."""
     clock = [0.0]
     monkeypatch.setattr("tqdm.std.time", lambda: clock[0])
-    with progress._make_bar("{percentage:.0f} %", "about ", total=1.0, desc="judging") as bar:
+    with progress._make_bar("{percentage:.0f} %", "{to_go}", total=1.0, desc="fitting") as bar:
         told = []
         for clock[0], done in ((10.0, 0.1), (40.0, 0.0), (99.0, 0.0), (130.0, 0.0), (140.0, 0.7)):
             bar.update(done)
             told.append(bar.format_dict["to_go"])
-    assert told == ["about 01:30 to go", "about 01:00 to go", "about 00:01 to go", "time to go unknown",
-                    "about 00:35 to go"]  # fmt: skip
+    assert told == ["01:30 to go", "01:00 to go", "00:01 to go", "time to go unknown", "00:35 to go"]
 
 
 def test_short_work_is_not_worth_a_word(said, monkeypatch):

@@ -11,6 +11,8 @@ from spotcheck.crops.ingest import check_dataset
 from spotcheck.dataset import folder
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.dataset.plausibility import list_unusual_values
+from spotcheck.fitting.calibration import find_missing_law
+from spotcheck.fitting.caustic import find_missing_key
 from spotcheck.io import configuration
 from spotcheck.model import baseline
 
@@ -23,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print the number of frames of each kind, remarks, and the command to run next.
+    """Print the number of frames of each kind, remarks, what a run will skip, and the command to run next.
 
     The remarks concern the format of the frames, implausible values, and a path that needs quotes in config.yaml.
     Raises `InputError` for a breach of the contract.
@@ -40,6 +42,10 @@ def run(args: argparse.Namespace) -> None:
     remarks = (*frame_format.remarks, *list_unusual_values(dataset), configuration.remark_on_quotes(args.dataset))
     for remark in filter(None, remarks):
         print(remark)
+    if dataset.spots:
+        reasons = (find_missing_law(dataset.instrument, dataset.exposures), find_missing_key(dataset.instrument))
+        for reason in filter(None, reasons):
+            print(f"will be skipped: {reason}")
     path = shlex.quote(str(dataset.folder.resolve()))
     print(f"next, in the repository's folder: snakemake --cores 2 --config dataset={path} results=out")
     if find_spec("snakemake") is None:

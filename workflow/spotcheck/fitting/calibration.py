@@ -6,6 +6,7 @@ instrument file declares. A site is a combination of the grid's other conditions
 differ in exposure time alone.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -32,6 +33,19 @@ ESTIMATORS = {
 REGRESSIONS = ("regression", "regression_of_width")
 # The simulation uses the estimator of the paper.
 SIMULATION_ESTIMATOR = "regression"
+TOO_FEW_EXPOSURES = "p1 and p2 need usable spots of one site at two exposures or more"
+
+
+def find_missing_law(instrument: Instrument, exposures_s: Sequence[float] | np.ndarray) -> str:
+    """Return a sentence that says why there is no law of the width over exposure time; "" if there may be one.
+
+    `exposures_s` are the distinct exposure times of the spots [s].
+    """
+    if not len(exposures_s):
+        return "p1 and p2 need exposure times, and the manifest gives none"
+    if instrument.model.photon_budget == "free":
+        return "model.photon_budget is free: every frame has its own width, no law in t"
+    return TOO_FEW_EXPOSURES if len(exposures_s) < 2 else ""
 
 
 def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, sensor: SensorModel | None) -> xr.Dataset:
@@ -50,15 +64,13 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
         exposure time, it has only the attribute `skipped` with the reason.
     """
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
-    if "exposure" not in fits.coords:
-        return ds.assign_attrs(skipped="p1 and p2 need exposure times, and the manifest gives none")
-    exposures = fits["exposure"].values
+    exposures = fits["exposure"].values if "exposure" in fits.coords else np.empty(0)
+    if reason := find_missing_law(instrument, exposures):
+        return ds.assign_attrs(skipped=reason)
     baseline = of_instrument(instrument, exposures)
-    if baseline.photon_budget == "free":
-        return ds.assign_attrs(skipped="model.photon_budget is free: every frame has its own width, no law in t")
     widths, site_dims = _select_widths(fits)
     if (np.isfinite(widths.values).sum(axis=-1) < 2).all():
-        return ds.assign_attrs(skipped="p1 and p2 need usable spots of one site at two exposures or more")
+        return ds.assign_attrs(skipped=TOO_FEW_EXPOSURES)
 
     add_variable(ds, "estimator", "estimator", np.array([*ESTIMATORS], dtype=object), "1", "how p1 and p2 were found")
     ds = ds.assign_coords({d: fits[d] for d in site_dims if d in fits.coords})

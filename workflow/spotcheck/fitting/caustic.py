@@ -285,6 +285,21 @@ def compute_interval_half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:
     return stderr * stats.t.ppf((1 + LEVEL) / 2, degrees)
 
 
+def find_missing_key(instrument: Instrument) -> str:
+    """Return a sentence that names the key of instrument.yaml without which there is no caustic; "" if none is missing.
+
+    A dataset without the condition z has no caustic by design, so that nothing is missing.
+    """
+    if CONDITION not in instrument.conditions:
+        return ""
+    needed = {
+        "sensor.pixel_pitch_m": instrument.sensor.pixel_pitch_m,
+        "laser.wavelength_m": instrument.laser.wavelength_m,
+    }
+    missing = next((key for key, value in needed.items() if value is None), None)
+    return f"a caustic needs {missing}, which instrument.yaml does not give" if missing else ""
+
+
 def compute_caustic(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
     """Compute caustic.nc of a scan along z.
 
@@ -302,10 +317,9 @@ def compute_caustic(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     if CONDITION not in instrument.conditions or CONDITION not in fits.coords:
         return ds.assign_attrs(skipped=f"a caustic needs the declared condition {CONDITION}")
+    if reason := find_missing_key(instrument):
+        return ds.assign_attrs(skipped=reason)
     pitch, wavelength = instrument.sensor.pixel_pitch_m, instrument.laser.wavelength_m
-    for key, value in (("sensor.pixel_pitch_m", pitch), ("laser.wavelength_m", wavelength)):
-        if value is None:
-            return ds.assign_attrs(skipped=f"a caustic needs {key}, which instrument.yaml does not give")
     assert pitch is not None and wavelength is not None
     spots = select_preferred_fits(fits)
     grid = tuple(str(d) for d in spots["status"].dims)

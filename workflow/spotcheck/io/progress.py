@@ -1,4 +1,4 @@
-"""Progress of work that takes more than some seconds, and its remaining time, on standard error.
+"""Progress of work that takes more than some seconds, on standard error; with its remaining time where items are alike.
 
 The command line shows it; the library does so only on request:
 
@@ -59,7 +59,9 @@ def track(items: Collection[T] | Iterable[T], work: str, count: int | None = Non
     if not _is_shown.get():
         return items
     total = len(items) if isinstance(items, Collection) else count
-    return _iterate(_make_bar("{n_fmt} of {total_fmt}", iterable=items, total=total, desc=work))
+    return _iterate(
+        _make_bar("{n_fmt} of {total_fmt}", "{elapsed} so far, {to_go}", iterable=items, total=total, desc=work)
+    )
 
 
 def _iterate(bar: Any) -> Iterator[Any]:
@@ -72,7 +74,8 @@ def _iterate(bar: Any) -> Iterator[Any]:
 def track_steps(work: str) -> Iterator[None]:
     """Show the progress of work whose steps are announced by `begin_step`.
 
-    The share of each step in the work, and thus the remaining time, is an estimate from typical runs.
+    The share of each step in the work is that of typical runs. A dataset can take several times longer in one step, so
+    that no remaining time is shown.
 
     Parameters
     ----------
@@ -82,7 +85,7 @@ def track_steps(work: str) -> Iterator[None]:
     if not _is_shown.get():
         yield
         return
-    with _make_bar("{percentage:.0f} %", "about ", total=1.0, desc=work) as bar:
+    with _make_bar("{percentage:.0f} %", "{elapsed} so far", total=1.0, desc=work) as bar:
         bar.work, bar.step, bar.step_end = work, "", 0.0
         token = _steps_bar.set(bar)
         try:
@@ -149,13 +152,13 @@ class _LineWriter:
             self._file.write(f"{line}\n")
 
 
-def _make_bar(count_format: str, about: str = "", **options: Any) -> Any:
+def _make_bar(count_format: str, time_format: str, **options: Any) -> Any:
     """Return a tqdm bar, which vanishes at the end, or one that writes lines if there is no terminal.
 
     Parameters
     ----------
     count_format : format of the finished part of the work, with fields of tqdm such as `{n_fmt} of {total_fmt}`.
-    about : word before the remaining time, such as "about ".
+    time_format : format of the times, with the fields `{elapsed}` and `{to_go}`, the remaining time.
     options : arguments of tqdm for this work.
     """
     from tqdm import tqdm
@@ -176,7 +179,7 @@ def _make_bar(count_format: str, about: str = "", **options: Any) -> Any:
             # In proportion to the time at the last progress; 0 at the end. It is negative, which means unknown, if
             # nothing is done yet or the current item takes longer than those before.
             remaining_s = self.last_s * total / n - elapsed_s if 0 < n < total else n - total
-            to_go = f"{about}{tqdm.format_interval(remaining_s)} to go" if remaining_s >= 0 else "time to go unknown"
+            to_go = f"{tqdm.format_interval(remaining_s)} to go" if remaining_s >= 0 else "time to go unknown"
             return fields | {"to_go": to_go}
 
     # The monitoring thread of tqdm is not needed, and hinders processes that fork.
@@ -185,7 +188,7 @@ def _make_bar(count_format: str, about: str = "", **options: Any) -> Any:
     return Meter(
         **options,
         file=sys.stderr if is_terminal else _LineWriter(sys.stderr),
-        bar_format=f"{{desc}}: {'{bar} ' if is_terminal else ''}{count_format}, {{elapsed}} so far, {{to_go}}",
+        bar_format=f"{{desc}}: {'{bar} ' if is_terminal else ''}{count_format}, {time_format}",
         delay=SHOW_AFTER_S,
         mininterval=REDRAW_S if is_terminal else LINE_S,
         miniters=0,
