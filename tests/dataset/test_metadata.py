@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck.dataset.metadata import file_names, key_values, sidecar
+from spotcheck.dataset.metadata import file_names, key_values, sidecar, units
 from spotcheck.dataset.metadata.entry import MetadataEntry, resolve_entries
 from spotcheck.dataset.metadata.readers import read_metadata
 
@@ -20,6 +20,13 @@ NAMES = {
     "t=1.5ms": {"exposure_s": 1.5e-3},
     "1p5ms": {"exposure_s": 1.5e-3},
     "12,5 µs": {"exposure_s": 1.25e-5},
+    "t=4e-3s": {"exposure_s": 4e-3},
+    "2.5E+2us_r1": {"exposure_s": 2.5e-4, "repeat": 1},
+    "003_5ms": {"exposure_s": 5e-3},
+    "img_3_5ms": {"exposure_s": 5e-3},
+    "r3_5ms": {"repeat": 3, "exposure_s": 5e-3},
+    "2026-01-31_5ms": {"date": "2026-01-31", "exposure_s": 5e-3},
+    "10_100us": {"exposure_s": 1e-4},
     "45deg": {"angle_deg": 45.0},
     "theta-30": {"angle_deg": 30.0},
     "z_176mm": {"z_m": 0.176},
@@ -59,6 +66,32 @@ def test_names_that_say_nothing(name):
     assert said(file_names.parse_name(name)) == {}
 
 
+@pytest.mark.parametrize("name", ["1-400s", "1_250s", "exp_3_5ms", "t_4_25ms", "3_5mm", "2-5ms", "1,000us"])
+def test_ambiguous_numbers_in_names_are_not_read(name):
+    """The end of a fraction or of a decimal number is not taken as the number."""
+    assert said(file_names.parse_name(name)) == {}
+
+
+@pytest.mark.parametrize(
+    ("cells", "wanted"),
+    [
+        (["700", "2,000"], [None, None]),
+        (["1,000.5", "1,5"], [None, None]),
+        (["2,000", "1,500.5"], [2e-3, 1.5005e-3]),
+        (["3,000", "1,000,000"], [3e-3, 1.0]),
+        (["1,250", "1,5"], [1.25e-6, 1.5e-6]),
+        (["0,125", "2,375"], [1.25e-7, 2.375e-6]),
+        (["700", "2000"], [7e-4, 2e-3]),
+    ],
+)
+def test_commas_are_decided_from_the_column(cells, wanted):
+    """A comma separates thousands or decimals in a whole column; an undecidable column has no values, and says so."""
+    lines = ["file,Exposure (us)", *(f'{k}.tif,"{cell}"' for k, cell in enumerate(cells))]
+    entries = [entries[0] for entries in sidecar.parse_table("\n".join(lines), "log.csv").values()]
+    assert [entry.value for entry in entries] == wanted
+    assert all((units.UNDECIDABLE_COMMA in entry.text) == (entry.value is None) for entry in entries)
+
+
 @pytest.mark.parametrize(
     ("key", "value", "column", "wanted"),
     [
@@ -66,6 +99,7 @@ def test_names_that_say_nothing(name):
         ("Exposure-ms", "10", "exposure_s", 0.01),
         ("exposureTimeUs", 250, "exposure_s", 2.5e-4),
         ("Exposure (µs)", "2,5", "exposure_s", 2.5e-6),
+        ("Exposure (µs)", "2,500", "exposure_s", None),
         ("exposure_s", "1e-3", "exposure_s", 1e-3),
         ("ExposureTime", "100", "exposure_s", None),
         ("ExposureTime", "3 mm", "exposure_s", None),

@@ -14,9 +14,12 @@ FILE, FOLDER = "file name", "folder name"
 LONGEST_NAME, MOST_DIGITS = 250, 19
 # A number with its unit, perhaps with a word before it and a gap between them. Some names write 1p5 for 1.5.
 _QUANTITY = re.compile(
-    rf"(?<![A-Za-z0-9.])(?:(?P<key>[^\W\d_]+)(?P<gap>\s*=\s*|[\s_-]*))?(?P<sign>[-+]?)(?P<number>\d+(?:[.,p]\d+)?)"
+    rf"(?<![A-Za-z0-9.])(?:(?P<key>[^\W\d_]+)(?P<gap>\s*=\s*|[\s_-]*))?(?P<sign>[-+]?)"
+    rf"(?P<number>\d+(?:[.,p]\d+)?(?:[eE][-+]?\d+)?)"
     rf"[\s_]?(?P<unit>(?i:{units.UNIT_PATTERN}))(?![^\W_])"
 )
+# Digits and a separator right before a number, perhaps with a word before them: exp_2_ in exp_2_5ms, 1- in 1-200s.
+_NUMBER_HEAD = re.compile(r"(?:(?<![^\W_])(?P<word>[^\W\d_]+)[\s_=-]*)?(?<![\d.,])(?P<head>\d+)(?P<separator>[-_,])$")
 # A word and a number without a unit, and the gap between them.
 _NUMBERED_WORD = re.compile(
     r"(?<![A-Za-z0-9.])(?P<key>[^\W\d_]+)(?P<gap>[\s_=-]*)(?P<number>\d+(?:[.,p]\d+)?)(?![^\W_])"
@@ -37,6 +40,8 @@ OTHER_QUANTITIES = set(
 # Words whose number is the repeat, and words whose number only counts files.
 REPEAT_WORDS = ("r", "rep", "repeat", "shot", "run")
 COUNTER_WORDS = ("snap", "img", "image", "frame", "pic", "no", "nr", "n", "page")
+# Most digits after an underscore or a hyphen that may be decimals.
+MOST_DECIMALS = 2
 # Range of laser wavelengths that silicon detects [m]: a length in nm within it is the wavelength.
 WAVELENGTHS_M = (1.5e-7, 1.2e-6)
 
@@ -53,7 +58,10 @@ def parse_name(name: str, source: str = FILE) -> Iterator[MetadataEntry]:
     rest = name = name[:LONGEST_NAME]
     # 1. Numbers with a unit.
     for match in _QUANTITY.finditer(name):
-        if entry := _parse_quantity(match, source):
+        entry = _parse_quantity(match, source)
+        if entry and entry.column and _may_be_tail(match):
+            entry = MetadataEntry(None, None, entry.text, source)
+        if entry:
             yield entry
             rest = rest.replace(entry.text, " ", 1)
     # 2. A date.
@@ -110,6 +118,26 @@ def _parse_quantity(match: re.Match, source: str) -> MetadataEntry | None:
     belongs_to_word = key in KEYS or gap == "" or "=" in (gap or "")
     text = match[0] if belongs_to_word else match[0][match.start("number") - match.start() :]
     return MetadataEntry(column, value, text.strip(" _-"), source)
+
+
+def _may_be_tail(match: re.Match) -> bool:
+    """Return whether the number of a match of `_QUANTITY` may be only the end of a decimal number or a fraction.
+
+    Both 1-200s (1/200 s) and exp_2_5ms (2.5 ms) can also be a counter and a quantity. A head that belongs to a date or
+    to the word of a counter or repeat, or that starts with zeros (003_5ms), is a number of its own.
+    """
+    start = match.start("sign")
+    if match["key"] or (head_match := _NUMBER_HEAD.search(match.string[:start])) is None:
+        return False
+    if any(date.end() >= head_match.end("head") > date.start() for date in _DATE.finditer(match.string)):
+        return False
+    word, head = (head_match["word"] or "").lower(), head_match["head"]
+    if word in (*REPEAT_WORDS, *COUNTER_WORDS) or (len(head) > 1 and head.startswith("0")):
+        return False
+    # Decimals after an underscore are few; a longer number is a fraction of one second, or stands alone.
+    has_few_digits = len(match["number"]) <= MOST_DECIMALS
+    is_fraction = head == "1" and units.convert_quantity("1", match["unit"], "s") == 1
+    return has_few_digits or is_fraction or head_match["separator"] == ","
 
 
 def _parse_numbered_word(match: re.Match, is_separated_end: bool, source: str) -> MetadataEntry | None:

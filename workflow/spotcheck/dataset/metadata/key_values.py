@@ -157,9 +157,7 @@ def parse_pair(key: str, value: str, source: str, page: int | None = None) -> Me
     """
     text = f"{key} = {value}".replace("\n", " ")
     text = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}…"
-    column_and_dimension, unit = KEYS.get(normalize_key(key)), ""
-    if column_and_dimension is None and (match := _KEY_UNIT.fullmatch(key.strip())):
-        column_and_dimension, unit = KEYS.get(normalize_key(match[1])), match[2].replace("_per_", "/")
+    column_and_dimension, unit = _parse_key(key)
     if column_and_dimension is None:
         return MetadataEntry(None, None, text, source, page)
     column, dimension = column_and_dimension
@@ -181,6 +179,20 @@ def _parse_binning(value: str, text: str, source: str, page: int | None) -> Meta
         return MetadataEntry(None, None, text, source, page)
     columns, rows = match[1], match[2] or match[1]
     return MetadataEntry(BINNING, int(columns) if columns == rows else None, text, source, page)
+
+
+def is_quantity(key: str) -> bool:
+    """Return whether the values of a key are numbers with a unit."""
+    column_and_dimension, _ = _parse_key(key)
+    return column_and_dimension is not None and column_and_dimension[1] in units.UNITS
+
+
+def _parse_key(key: str) -> tuple[tuple[str, str] | None, str]:
+    """Return the item of `KEYS` for a key, None if it is unknown, and the unit in the key, "" if it has none."""
+    column_and_dimension = KEYS.get(normalize_key(key))
+    if column_and_dimension is None and (match := _KEY_UNIT.fullmatch(key.strip())):
+        return KEYS.get(normalize_key(match[1])), match[2].replace("_per_", "/")
+    return column_and_dimension, ""
 
 
 def parse_value(value: str, unit: str, dimension: str) -> float | int | str | None:

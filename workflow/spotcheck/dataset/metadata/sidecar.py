@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path, PureWindowsPath
 
-from spotcheck.dataset.metadata import key_values
+from spotcheck.dataset.metadata import key_values, units
 from spotcheck.dataset.metadata.entry import MetadataEntry
 from spotcheck.errors import InputError
 from spotcheck.io import schema
@@ -128,6 +128,10 @@ def parse_table(text: str, source: str) -> EntriesByImage:
     name_heading = next((heading_of[name] for name in NAME_HEADINGS if name in heading_of), None)
     if name_heading is None:
         return {}
+    # Only columns of quantities: a comma in a remark is no part of a number.
+    for heading in filter(key_values.is_quantity, heading_of.values()):
+        for row, cell in zip(rows, units.resolve_commas([row[heading] for row in rows]), strict=True):
+            row[heading] = cell
     rows_by_image: dict[str, list[list[tuple[str, str]]]] = {}
     for row in rows:
         image = PureWindowsPath(row.pop(name_heading).strip()).name

@@ -32,6 +32,13 @@ UNIT_PATTERN = "|".join(
     sorted((re.escape(unit) for factors in UNITS.values() for unit in factors), key=len, reverse=True)
 )
 NUMBER_PATTERN = r"[-+]?(?:\d+(?:[.,]\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+# Remark on the cells of a column whose commas may separate either thousands or decimals.
+UNDECIDABLE_COMMA = "(comma: thousands or decimals?)"
+# A comma before exactly three digits, which may separate either thousands or decimals.
+_AMBIGUOUS_COMMA = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+# Numbers whose commas can only separate thousands, and those whose comma can only be a decimal one.
+_THOUSANDS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:(?:,\d{3}){2,}(?![\d,])|(?:,\d{3})+\.\d)")
+_DECIMAL_COMMA = re.compile(r"(?<![\d.,])(?:(?:0\d*|\d{4,}),\d+|\d+,(?:\d{1,2}|\d{4,}))(?![\d.,])")
 # A number or fraction, perhaps with a unit, which may stand in brackets.
 _QUANTITY = re.compile(rf"\s*({NUMBER_PATTERN})(?:\s*/\s*(\d+))?\s*[\[(]?([^\W\d_]*|°|DN/e-?|ADU/e-)[\])]?\s*")
 # Longest text that is read as a number with a unit [characters], and size from which converted numbers are rejected as
@@ -58,8 +65,11 @@ def convert_quantity(number: str, unit: str, dimension: str) -> float | None:
     Returns
     -------
     float or None
-        None if the unit does not belong to the dimension, or if the text is not a number below 1e12.
+        None if the unit does not belong to the dimension, if the text is not a number below 1e12, or if its comma may
+        separate either thousands or decimals.
     """
+    if _AMBIGUOUS_COMMA.fullmatch(number):
+        return None
     factor = UNITS[dimension].get(unit) or UNITS[dimension].get(unit.lower())
     try:
         value = float(Decimal(number.replace(",", ".")) * Decimal(factor)) if factor else None
@@ -78,7 +88,23 @@ def parse_quantity(text: str) -> tuple[str, str] | None:
         return None
     number, denominator, unit = match.groups()
     if denominator:
-        if not int(denominator):
+        if not int(denominator) or _AMBIGUOUS_COMMA.fullmatch(number):
             return None
         number = repr(float(number.replace(",", ".")) / int(denominator))
     return number, unit
+
+
+def resolve_commas(cells: list[str]) -> list[str]:
+    """Return the cells of a column, with numbers written without thousands separators and with decimal points.
+
+    The meaning of a comma is taken from all cells: `1,000,000` or `1,000.5` show thousands separators, `1,5` or `0,125`
+    a decimal comma. If they show neither or both, the commas are undecidable, and each cell gets `UNDECIDABLE_COMMA` at
+    its end, so that no cell of the column is read as a number.
+    """
+    has_thousands = any(map(_THOUSANDS.search, cells))
+    has_decimals = any(map(_DECIMAL_COMMA.search, cells))
+    if has_thousands != has_decimals:
+        return [re.sub(r"(?<=\d),(?=\d)", "" if has_thousands else ".", cell) for cell in cells]
+    if has_thousands or any(map(_AMBIGUOUS_COMMA.search, cells)):
+        return [cell and f"{cell} {UNDECIDABLE_COMMA}" for cell in cells]
+    return cells
