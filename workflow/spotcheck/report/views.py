@@ -5,8 +5,9 @@ has the effects and learned light shapes that the verdict added. Both are fitted
 width and centre. A law gives brightness and width by the exposure (parameters p1, p2 and peak); the deviations of each
 frame from it are stored as well. The simulated baseline follows the law alone, at the fitted centre.
 
-A site is the place of a spot: one angle, repeat and set of declared conditions. A light is a learned shape; each pose
-of the beam may have its own.
+A crop is the square part of a frame around its spot. The peak and the width σ_g are those of the Gaussian spot. A site
+is the place of a spot: one angle, repeat and set of declared conditions. A light is a learned shape; each pose
+(orientation of the sample) may have its own. An effect is a physical cause of a difference between model and frames.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,13 +38,13 @@ from spotcheck.sensor.model import NoiseLine, noise_line
 
 # Largest number of steps up to full scale; readings are stored as 16-bit multiples of a step, the last code being NaN.
 MAX_STEPS = 65_000
-# Models by name, with their meaning in long names of variables.
+# Meaning of each model by its name, which begins the names of its variables; the meaning completes their long names.
 MODELS = {
     "simulated": "the baseline simulated at p1, p2 and peak",
     "declared": "the declared model with the frame's own brightness, width and centre",
     "extended": "the extended model with the frame's own brightness, width and centre",
 }
-# Deviations of a frame from the law of all frames and from its site: unit and meaning of each variable.
+# Deviations of a frame from the law of all frames and from its site: (unit, meaning) by name of the variable.
 DEVIATIONS = {
     "brighter": ("1", "brightness of the frame over that of the law of all frames, less 1"),
     "wider": ("1", "width of the frame over that of the law of all frames, less 1"),
@@ -51,9 +52,9 @@ DEVIATIONS = {
     "down": ("pixel", "centre of the spot below its site's"),
 }
 
-# Index of a frame on the grid of the dataset.
+# Index of a frame on the grid of the dataset, in the order of `Dataset.axes`.
 Index = tuple[int, ...]
-# Index of each frame, with values of variables of views.nc by name.
+# For each frame, its index and the values of variables of views.nc by name: images [y, x] in DN, and numbers.
 FrameViews = Iterator[tuple[Index, dict[str, Any]]]
 
 
@@ -62,7 +63,7 @@ class ViewedFrames:
     """The usable frames of a dataset, with the camera and the declared light."""
 
     frames: FrameSet  # F frames
-    cells: Sequence[tuple[Index, Frame]]  # index on the grid and row of the manifest of each frame
+    cells: Sequence[tuple[Index, Frame]]  # (index on the grid, row of the manifest) of each frame [F]
     start: FrameParameters  # spot of each frame, from which fits start
     baseline: Baseline  # declared light
     sensor: SensorModel  # sensor of sensor.nc
@@ -79,7 +80,7 @@ class ViewedFrames:
 class ModelledFrames:
     """A model fitted to each of F frames; frames may have different lights."""
 
-    lights: tuple[ForwardModel, ...]  # the model with each light: no law, only effects that act on the mean reading
+    lights: tuple[ForwardModel, ...]  # model with each light, without a law, with the effects on the mean reading only
     light_index: np.ndarray  # index in `lights` of the light of each frame [frame]
     fitted: FittedSpots  # fitted spots of the frames
 
@@ -160,6 +161,7 @@ def fit_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[
     # A frame has the first light if the model does not know its site or has no light for it.
     light_index = np.array([(spot and spot.light) or 0 for spot in map(extended.spots.get, sites)], int)
     baseline = replace(viewed.baseline, photon_budget="free")
+    # Without a learned light, the shape is that of the baseline.
     shapes = extended.lights or (baseline.learned,)
     effects = tuple(filter(acts_on_mean, extended.effects))
     lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in shapes)
@@ -191,9 +193,9 @@ def _fit_each_light(lights: Sequence[ForwardModel], light_index: np.ndarray, vie
 def _predict_spots_without(
     viewed: ViewedFrames, extended: ExtendedModel, model: ModelledFrames, removed: AppliedEffect
 ) -> FrameParameters:
-    """Return the spots that the frames would have without an effect that changes the law of brightness or width.
+    """Return the fitted spots, corrected by the change of the law's brightness and width when an effect is removed.
 
-    These are the fitted spots of `model` for an effect that does not change the law, and without a law.
+    The fitted spots are returned unchanged if the effect does not change the law, or if there is no law.
     """
     spots = model.fitted.spots
     if extended.law is None:
@@ -215,20 +217,21 @@ def _measure_deviations(
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Return the deviations of frames from law and site, and their standard errors, by name of `DEVIATIONS` [frame].
 
-    They are NaN without a law, and for a frame whose site is unknown to the model.
+    Brightness and width are NaN without a law. The centre is NaN for a frame whose site is unknown to the model.
     """
     # Rows in the order of `DEVIATIONS`: relative brightness and width, column and row.
     value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
     spots = model.fitted.spots
     if extended.law is not None:
         law_model = ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(extended.effects))
-        by_law = compute_log_spots(law_model, viewed.frames)
-        value[:2] = np.expm1(model.compute_log_spots(viewed.frames) - by_law)
+        log_spots_by_law = compute_log_spots(law_model, viewed.frames)
+        value[:2] = np.expm1(model.compute_log_spots(viewed.frames) - log_spots_by_law)
     for k, site in enumerate(sites):
         if (spot := extended.spots.get(site)) is not None:
             value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
+    # Rounding may make a variance slightly negative.
     stderr = np.sqrt(np.maximum(np.diagonal(model.fitted.covariance, axis1=1, axis2=2).T, 0.0))
-    # The fit has errors of ln peak and ln σ_g. Errors of law and site are not included.
+    # The fit gives errors of ln peak and ln σ_g; d(ratio) = ratio · d(ln ratio). Errors of law and site are excluded.
     stderr[:2] *= 1 + value[:2]
     stderr = np.where(np.isfinite(value), stderr, np.nan)
     return dict(zip(DEVIATIONS, value, strict=True)), dict(zip(DEVIATIONS, stderr, strict=True))
@@ -268,9 +271,10 @@ def choose_step(full_scale: float) -> float:
 
 
 def rms_residual(measured: np.ndarray, mean: np.ndarray, line: NoiseLine) -> tuple[float, float]:
-    """Return the rms of measured less mean readings [row, column] in DN, and that of the residuals over the noise.
+    """Return (rms of the residuals [DN], rms of the residuals divided by the standard deviation of the noise [1]).
 
-    `line` gives the variance of the noise at a mean reading. NaN pixels do not count; both are NaN without any other.
+    The residuals are `measured` − `mean`, both readings [row, column] in DN. `line` gives the variance of the noise at
+    a mean reading. NaN pixels are ignored; both results are NaN if no pixel is finite.
     """
     square = (measured - mean) ** 2
     if not np.isfinite(square).any():
@@ -334,7 +338,10 @@ def write_views(
 
 
 def _list_coordinates(dataset: Dataset, line: NoiseLine, effect_names: Sequence[str]) -> xr.Dataset:
-    """Return the coordinates of views.nc beside the grid, and the line of the sensor's noise."""
+    """Return the coordinates of views.nc other than those of the grid, and the parameters of the sensor's noise.
+
+    The variance of a reading [DN²] is noise_at_zero + noise_slope · mean reading [DN].
+    """
     ds = xr.Dataset()
     for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
         values = np.arange(dataset.instrument.crop_px, dtype="i4")
@@ -350,8 +357,9 @@ def _list_coordinates(dataset: Dataset, line: NoiseLine, effect_names: Sequence[
 def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: SensorModel | None) -> FrameViews:
     """Yield the mean reading of the simulated baseline at the fitted centre of each spot frame.
 
-    The spot is in the middle of the crop if the fit is not trusted. A frame without a usable spot has no light. If
-    `sensor` is None (unknown), the light itself is yielded. `files` as in `write_views`.
+    Each image is the value of the key "simulated", [y, x] in DN. The spot is in the middle of the crop if the fit is
+    not trusted. A frame without a usable spot has no light. The mean light, in DN above the black level, is yielded in
+    place of the reading if `sensor` is None (unknown). `files` is as in `write_views`.
     """
     crops, fits = files["crops"].sel(centring="light"), select_preferred_fits(files["fits"])
     states = list_spot_states(dataset, files["calibration"], files["fits"])
@@ -375,7 +383,8 @@ def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: Se
 def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | None) -> FrameViews:
     """Yield mean readings of the declared and the extended model, and deviations, of each frame of `viewed`.
 
-    `model` is the extended model; None if there is none.
+    The keys of the values are those of `list_variables` without the rms. `model` is the extended model; None if there
+    is none.
     """
     declared = fit_declared(viewed)
     extended = None

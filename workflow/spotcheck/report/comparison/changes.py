@@ -3,8 +3,8 @@
 A trend is the slope of a straight line through one number of every dataset, over their dates or their order. The
 standard error of a mean of few values is uncertain itself. Differences and slopes are therefore tested with
 Student's t distribution at the degrees of freedom of Welch and Satterthwaite (B. L. Welch, Biometrika 34, 28, 1947).
-A page tests many numbers. Holm's correction (S. Holm, Scand. J. Statist. 6, 65, 1979) keeps the probability that it
-marks anything by chance below `FALSE_ALARM_RATE`, whatever the correlation of the numbers.
+A comparison tests many numbers. Holm's correction (S. Holm, Scand. J. Statist. 6, 65, 1979) keeps the probability that
+any of them is significant by chance below `FALSE_ALARM_RATE`, whatever the correlation of the numbers.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from spotcheck.report.comparison.numbers import Measurement
 # Family-wise error rate of all differences of a page, and separately of all its trends: weekly comparisons of equal
 # datasets mark a difference by chance once in two years.
 FALSE_ALARM_RATE = 0.01
-# Number of datasets that a trend needs: two points always lie on a line.
+# Smallest number of datasets for a trend: two points always lie on a line, so that their scatter is unknown.
 MIN_TREND_POINTS = 3
 
 
@@ -52,7 +52,7 @@ def fit_trend(places: Sequence[float], numbers: Sequence[Measurement]) -> tuple[
     Parameters
     ----------
     places : sequence of float
-        Position of each dataset on the trend axis.
+        Position of each dataset on the trend axis, in days or as index of the dataset.
     numbers : sequence of Measurement
         The number in each dataset, with finite values.
 

@@ -1,7 +1,8 @@
 """Results of several datasets, read for comparison.
 
-Conditions are the values of the design axes at which frames were taken, such as angle and exposure. Spot numbers are
-compared at equal conditions. The verdict is the result of the test which effects a model of the frames lacks.
+Conditions are the values of the design axes at which frames were taken, such as angle and exposure. Numbers of spots
+are compared at equal conditions. The verdict (verdict.json) names the effects that the model of the frames lacks. A
+stage is a step of the workflow that writes one result file.
 """
 
 import json
@@ -23,7 +24,7 @@ from spotcheck.report.comparison.numbers import GROUPS, Measurement, QuantityNam
 
 # Column of the manifest whose tolerance applies to a design axis; other axes are named like their column.
 COLUMNS = {"angle": "angle_deg", "exposure": "exposure_s"}
-# Number of datasets that a comparison needs.
+# Smallest number of datasets of a comparison.
 MIN_DATASETS = 2
 
 
@@ -34,7 +35,7 @@ class DatasetResults:
     folder: Path  # results folder
     label: str  # name among the compared datasets: that of the folder, or its path if two folders have one name
     title: str  # title of the dataset
-    frames: dict[str, int]  # number of frames by kind
+    frames: dict[str, int]  # number of frames by kind: "spot", "flat" or "dark"
     mean_time: datetime | None  # mean time of exposure of the frames; None if unknown
     verdict: dict[str, Any] | None  # content of verdict.json; None if there is none
     numbers: dict[QuantityName, Measurement]  # numbers that can be compared
@@ -146,6 +147,7 @@ def _average_dates(frames: xr.Dataset) -> datetime | None:
 def _align_conditions(datasets: Sequence[DatasetResults]) -> list[DatasetResults]:
     """Return the datasets with values that count as one condition replaced by their mean."""
     conditions = {item for dataset in datasets for name in dataset.numbers for item in name.conditions}
+    # Common value of a condition by (axis, value in a dataset).
     common_values: dict[tuple[str, float], float] = {}
     for axis in {condition.axis for condition in conditions}:
         values = sorted({condition.value for condition in conditions if condition.axis == axis})

@@ -12,7 +12,8 @@ import xarray as xr
 from spotcheck.report.comparison.changes import FALSE_ALARM_RATE, MIN_TREND_POINTS
 from spotcheck.report.comparison.table import Comparison, conditions_text, label_quantity
 
-# Variables of comparison.nc: name, field of the record (`Measurement` or `Change`) that it stores, meaning.
+# Variables of comparison.nc: (name, field of the record that it stores, meaning). The records are `Measurement` for
+# numbers and texts, and `Change` for differences and slopes.
 NUMBER_VARIABLES = (
     ("value", "value", "value"),
     ("stderr", "stderr", "standard error; missing where none is known"),

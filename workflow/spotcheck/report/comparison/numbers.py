@@ -1,7 +1,7 @@
 """Numbers of a results folder that can be compared with those of other datasets.
 
-p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure. The crops are images
-of single spots. The verdict (verdict.json) is the result of the test which effects a model of the frames lacks; its
+p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure. A crop is the square
+part of a frame around its spot. The verdict (verdict.json) names the effects that the model of the frames lacks; its
 baseline is the model without added effects.
 """
 
@@ -27,7 +27,8 @@ SPOT_VARIABLES = {
     "sigma_minor": "width of the short axis",
     "amplitude": "amplitude",
 }
-# Labels of metrics.nc that select the PSNR of crops registered on their fitted centres, over the sensor's range.
+# Labels of metrics.nc that select the peak signal-to-noise ratio (PSNR) of crops that are registered on their fitted
+# centres, relative to the range of the sensor.
 PSNR = {"registration": "fitted", "data_range": "sensor"}
 # A fit with one of these flags has no usable standard error.
 ERROR_UNUSABLE = store.flag("misfit") | store.flag("no_error")
@@ -67,8 +68,9 @@ class Measurement:
     source: str = ""  # variable of the result file that holds the value
 
 
-# Stands for a number that a dataset lacks.
+# Placeholder for a number that a dataset lacks.
 ABSENT = Measurement()
+# Pairs of a name and a number.
 NamedMeasurements = Iterator[tuple[QuantityName, Measurement]]
 
 
@@ -123,7 +125,7 @@ def _read_or_refuse(
 
 
 def _measure(value: Any, stderr: Any, units: str, error: str, source: str, degrees: float = np.inf) -> Measurement:
-    """Return a number as a `Measurement`, whose fields the arguments are; a value or error of None is NaN.
+    """Return a `Measurement` with these fields; a value or standard error of None becomes NaN.
 
     A standard error of 0 counts as unknown, since no measurement is exact.
     """

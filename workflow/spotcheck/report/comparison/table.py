@@ -17,7 +17,7 @@ from spotcheck.report.comparison.datasets import DatasetResults, list_shared, li
 from spotcheck.report.comparison.numbers import ABSENT, Condition, Measurement, QuantityName
 
 SECONDS_PER_DAY = 86400.0
-# Design axes whose values are written without the name of the axis, since their unit tells it.
+# Design axes whose values are written without the name of the axis, since the unit identifies the axis.
 AXES_KNOWN_BY_UNIT = ("angle", "exposure")
 
 
@@ -84,7 +84,7 @@ def compare_datasets(folders: Sequence[Path]) -> Comparison:
     p_values = [change.p_value for row_changes in changes for change in row_changes]
     is_changed = select_significant(p_values).reshape(len(names), len(datasets)).tolist()
     has_trend = select_significant([slope.p_value for slope in slopes]).tolist()
-    # The lists have the order of the fields of `Row`.
+    # The lists are in the order of the fields of `Row`.
     fields = zip(names, numbers, changes, is_changed, slopes, intercepts, has_trend, strict=True)
     rows = [Row(*row_fields) for row_fields in fields]
     return Comparison(datasets, rows, axis, [*list_unit_conflicts(datasets), *remarks])
@@ -108,7 +108,11 @@ def _fit_known(places: Sequence[float], numbers: Sequence[Measurement]) -> tuple
 
 
 def _choose_trend_axis(datasets: Sequence[DatasetResults]) -> tuple[TrendAxis, list[str]]:
-    """Return the axis of trends: days if all datasets have dates that differ, else their order; and remarks on it."""
+    """Return the axis of trends, and sentences on why it is not the date.
+
+    The axis is the date in days if all datasets have a date and not all dates are equal, else their order.
+    There is a sentence only if some datasets have a date and others have none.
+    """
     order = TrendAxis([float(k) for k in range(len(datasets))], "order of the datasets", "dataset")
     times = [dataset.mean_time for dataset in datasets if dataset.mean_time is not None]
     if not times:

@@ -2,7 +2,7 @@
 
 The declared model is that of the instrument file. The extended model also has the effects and the light shape that the
 verdict added; without additions there is none. The gap is the excess of the declared model's residuals over noise, on
-frames that were held out.
+held-out frames, which were not used to select the effects.
 """
 
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ def draw_answer(results: Results) -> style.Drawing:
     rows = len(example.models)
     figure = style.new_figure(2.5 * rows if rows > 1 else 2.3, 1.15 * style.WIDTH)
     panels = figure.subplots(rows, 3, squeeze=False)
-    # A single model leaves the last panel to its residual.
+    # With a single model, the last panel of the row shows its residual.
     for ax, (key, image) in zip(panels[0], example.images.items(), strict=False):
         _draw_image(ax, example, image, LOOKS[key].name, reading_norm, style.IMAGE_MAP)
     # Residuals are below their models, or beside a single model.
@@ -102,6 +102,7 @@ def choose_example(ds: xr.Dataset) -> Example:
     """
     table, models = tabulate_conditions(ds), list_models(ds)
     residuals = {model: table.read(ds, f"residual_{model}") for model in models}
+    # Sum over the blocks of each condition [row of the table, column of the table].
     squares = {model: np.nansum(image**2, axis=(2, 3)) for model, image in residuals.items()}
     has_residual = np.all([np.isfinite(image).any(axis=(2, 3)) for image in residuals.values()], axis=0)
     reduction = np.where(has_residual, squares[BEFORE] - squares.get(AFTER, 0.0), -np.inf)

@@ -1,6 +1,7 @@
 """Fig. 13: Cramér–Rao bounds of the photons on the brightest pixel and of the width of the spot.
 
-p1 and p2 are the parameters of the law that gives the spot's width at an exposure (Eq. 8 of the paper).
+The Cramér–Rao bound is the smallest variance that an unbiased estimate can have. p1 and p2 are the parameters of the
+law that gives the spot's width at an exposure (Eq. 8 of the paper).
 """
 
 from typing import NamedTuple
@@ -40,7 +41,7 @@ class PaperCurves(NamedTuple):
     """Variances as the paper seems to have computed them, scaled to its largest printed values."""
 
     times: np.ndarray  # exposure times [point], in the unit of the abscissa
-    peak: np.ndarray  # variance of the photons on the brightest pixel [point]
+    peak: np.ndarray  # variance of the photons on the brightest pixel [point] in photons²
     sigma: np.ndarray  # variance of the width [point] in m²
 
 
@@ -49,7 +50,7 @@ class Abscissa(NamedTuple):
 
     name: str  # end of the names of the variables in bounds.nc: "exposure" or "photons"
     values: np.ndarray  # values at which the bounds were computed [point], in the unit of the label
-    marks: np.ndarray  # values at the exposures of the dataset, in the unit of the label
+    marks: np.ndarray  # values at the exposures of the dataset [exposure], in the unit of the label
     label: str  # label of the axis with unit
 
 
@@ -62,6 +63,7 @@ def draw_over_exposure(results: Results) -> style.Drawing:
     paper = None
     if results.has_paper_design():
         times, *variances = printed_curves(results.instrument)
+        # (smallest, largest) printed value of each curve.
         printed = (PRINTED_PEAK_VARIANCE, PRINTED_SIGMA_VARIANCE)
         paper = PaperCurves(
             times * factor, *(v / v.max() * ends[1] for v, ends in zip(variances, printed, strict=True))

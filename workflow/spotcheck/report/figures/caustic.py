@@ -14,9 +14,9 @@ from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
 
 CURVE_POINTS = 200
-# The curves reach beyond the outermost points by this fraction of their distance.
+# The curves extend beyond the outermost points by this fraction of the range of the distances z.
 CURVE_MARGIN = 0.06
-# Colour, marker and line style of each axis of the beam.
+# (colour, marker, line style) of each axis of the beam.
 LOOKS = {
     "x": (style.MEASURED, "o", style.DASHED),
     "y": (style.SIMULATED, "s", (0, (1.2, 1.6))),
@@ -83,7 +83,7 @@ def _read_hyperbola(beam: xr.Dataset) -> Hyperbola:
 
 def _write_caption(ds: xr.Dataset) -> str:
     """Return the caption; `ds` is the content of caustic.nc."""
-    # caustic.nc at both axes if the azimuth is known, else only at their mean; by the name of the axis as text.
+    # Part of caustic.nc for each axis by its name as text: both axes if the azimuth is known, else only their mean.
     beam_by_name = select_beam_rows(ds)
     scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beam_by_name.values())
     azimuth = quantity_text(float(ds["azimuth"]), float(ds["azimuth_stderr"]))
@@ -115,7 +115,7 @@ def _beam_text(name: str, beam: xr.Dataset) -> str:
     if not np.isfinite(float(beam["m2"])):
         return f"{name}: the fitted hyperbola has no waist; the points do not constrain one."
     near, far, total = (int(beam[key]) for key in ("positions_near", "positions_far", "positions"))
-    # More than three standard errors below 1.
+    # The warning needs M² more than three standard errors below 1, which chance alone hardly gives.
     warning = (
         " M² cannot be below 1: the fitted Gaussians ignore light in the wings, or the radii scatter too much."
         if float(beam["m2"] + 3 * beam["m2_stderr"]) < 1

@@ -2,7 +2,8 @@
 
 The declared model is that of the instrument file. The extended model also has the effects and the light shape that the
 verdict added; without additions there is none. All values are those of discrepancy.nc, which averages over blocks:
-squares of pixels. The gap is the mean square of the residuals of blocks, in units of their noise variance.
+squares of pixels. The gap is the mean square of the residuals of blocks, in units of their noise variance. The spot's
+width σ_g is the standard deviation of the Gaussian light.
 """
 
 from dataclasses import dataclass, replace
@@ -30,11 +31,12 @@ MAX_MAPS_HEIGHT, MAX_SIDE = 4.4, 2.2
 COLOUR_PERCENTILE = 99.8
 # A number in the table of the gap is bold if the gap exceeds that of noise by so many standard deviations.
 BOLD_SIGMAS = 3.0
-# Largest table of the gap with numbers [cells, columns], and largest number of its rows with names.
+# The table of the gap has numbers up to this many conditions and columns, which leave space for the digits, and names
+# at no more than this many rows.
 MAX_NUMBERS, MAX_NUMBER_COLUMNS, MAX_NAMED_ROWS = 160, 8, 24
 # Colour map of the gap, and position on it from which numbers are white.
 GAP_MAP, WHITE_FROM = "magma_r", 0.55
-# Lines of the profiles.
+# Largest number of profiles, one for each exposure.
 MAX_PROFILES = 6
 # Horizontal layout [inch]: margins, gap between maps and between models, gap between profiles, margin right of these.
 LEFT, RIGHT, GAP, MODEL_GAP, PROFILE_GAP, PROFILE_RIGHT = 0.65, 0.95, 0.06, 0.25, 0.2, 0.75
@@ -51,7 +53,7 @@ class ConditionTable:
     """Conditions as a table: a row for each angle and declared conditions, a column for each exposure."""
 
     dims: tuple[str, ...]  # dimensions of discrepancy.nc that form the rows
-    rows: list[str]  # conditions of each row as text; "" if not recorded
+    rows: list[str]  # angle and declared conditions of each row as text; "" if not recorded
     columns: list[str]  # exposure of each column as text; "" if not recorded
 
     def read(self, ds: xr.Dataset, name: str) -> np.ndarray:
@@ -275,6 +277,7 @@ def _draw_profiles(axes: list[Axes], ds: xr.Dataset, table: ConditionTable, mode
     axes[0].set_ylabel("residual / DN")
     peak = float(ds["peak"])
     if peak > 0:
+        # Functions from DN to percent of the peak, and back.
         to_percent = (lambda values: np.multiply(values, 100 / peak), lambda values: np.multiply(values, peak / 100))
         axes[-1].secondary_yaxis("right", functions=to_percent).set_ylabel("% of the peak")
     names = [table.columns[j] for j in columns]

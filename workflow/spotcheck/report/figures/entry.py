@@ -18,7 +18,7 @@ class Category(Enum):
     METRICS = "Metrics"
     BOUNDS = "Bounds"
     RESIDUALS = "Residuals"
-    MISSING = "What is missing"  # shown beside the verdict
+    MISSING = "What is missing"  # effects that the model lacks; shown beside the verdict
     SENSOR = "Sensor"
     BEAM = "Beam"
 
@@ -38,6 +38,6 @@ class Entry:
 # Values of `Entry.needs` that several modules share.
 FRAMES = ("crops", "fits", "simulated")  # measured frames with their fitted spots, and mean simulated light
 PAIR = ("crops", "fits", "simulated/crops", "simulated/fits")  # measured and simulated frames with their fitted spots
-EXTENDED = (*PAIR, "extended/crops", "extended/fits")  # those, and frames of the extended model
+EXTENDED = (*PAIR, "extended/crops", "extended/fits")  # the same, and frames simulated by the extended model
 METRICS = ("metrics", "simulated")  # quality metrics of the frames, and the simulation
 VERDICT = ("discrepancy",)  # residuals on which the verdict is based

@@ -1,7 +1,8 @@
 """Measured frames with their fitted spots and simulated counterparts.
 
-Frames lie on a grid with the dimensions angle, exposure and repeat and one for each declared condition. An index of the
-grid maps each dimension to the number of a value.
+Frames lie on a grid with the dimensions angle, exposure and repeat and one for each declared condition. An index maps
+dimensions of the grid to the positions of values on them, which count from 0. A crop is the square part of a frame
+around its spot.
 """
 
 from collections.abc import Iterator
@@ -61,7 +62,7 @@ def read_frame(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> Fi
 
 
 def predict_reading(results: Results, index: dict[str, int], spot: FittedSpot) -> np.ndarray:
-    """Return the mean simulated reading [y, x] in DN at an index of the grid, centred on the measured `spot`."""
+    """Return the mean simulated reading [y, x] in DN at an index of all dimensions, centred on the measured `spot`."""
     simulated = results.get("simulated")
     light = simulated["mean_light"].isel(index).values.astype(float)
     # The shift leaves NaN at an edge that the simulated crop does not cover; the light there is negligible.

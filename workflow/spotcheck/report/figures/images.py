@@ -1,4 +1,8 @@
-"""Fig. 8: a simulated and a measured frame, and their superposition."""
+"""Fig. 8: a simulated and a measured frame, and their superposition.
+
+The declared model is that of the instrument file. The extended model also has the effects that the verdict added. A
+crop is the square part of a frame around its spot.
+"""
 
 from functools import partial
 
@@ -19,7 +23,7 @@ MAX_ENLARGED_FRACTION = 0.75
 # Contour levels as fractions of the simulated maximum, and σ of the Gaussian filter that suppresses noise [px].
 LEVELS = (0.2, 0.5, 0.8)
 SMOOTH_PX = 1.5
-# Start of the caption by source.
+# Start of the caption by the source of the frame, an argument of `draw_frame`.
 SOURCE_TEXTS = {
     "Measured": "Measured frame",
     "Simulated": "Frame simulated by the declared model",
@@ -78,6 +82,7 @@ def draw_superposition(results: Results) -> style.Drawing:
     grid = figure.add_gridspec(2, 2, width_ratios=(1.05, 1.0))
     overlay = figure.add_subplot(grid[:, 0])
     profiles = [figure.add_subplot(grid[k, 1]) for k in range(2)]
+    # (colour, line style) by name in the legend, in the order of `frames`.
     looks = {"measured": (style.MEASURED, "solid"), "simulated": (style.SIMULATED, style.DASHED)}
     frames = [pair.measured, pair.simulated]
     if pair.extended:

@@ -1,8 +1,8 @@
 """Shape of the light: declared, learned, and their difference.
 
-The declared shape is that of the instrument file. The learned one was fitted to the frames where the declared one did
+The declared shape is that of the instrument file. The learned one was fitted to the frames because the declared one did
 not explain them. Shapes are functions of u and v: column and row from the spot's centre in widths σ_g of the declared
-shape.
+shape. A pose is an orientation of the sample; each pose may have its own learned shape.
 """
 
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ MIN_LIGHT = 1e-4
 class Shapes:
     """Declared and learned shape of a light on a square grid, as fractions of the peak of the declared Gaussian."""
 
-    places: np.ndarray  # u of the columns, which equals v of the rows [σ_g]
+    places: np.ndarray  # u of the columns, which are also the v of the rows [point] in σ_g
     declared: np.ndarray  # declared shape [row, column]
     learned: np.ndarray  # learned shape [row, column]
 
@@ -36,14 +36,14 @@ class Shapes:
 def compare_shapes(ds: xr.Dataset, dataset: Dataset) -> Shapes:
     """Return the learned shape of light.nc and the declared one of the dataset's instrument file.
 
-    If there is a learned shape for each of several poses of the beam, the one that differs most is returned.
+    If there is a learned shape for each of several poses, the one that differs most is returned.
     """
     is_shown = np.abs(ds["u"].values) <= HALF_SIDE
     places = ds["u"].values[is_shown]
-    lights = ds["s"].values[:, is_shown][:, :, is_shown]
+    lights = ds["s"].values[:, is_shown][:, :, is_shown]  # learned shapes [light, row, column]
     u, v = places[None, :], places[:, None]
     baseline = of_instrument(dataset.instrument, dataset.exposures)
-    # light.nc has what is added to the Gaussian or top hat, in place of a profile that the instrument file declares.
+    # light.nc stores what is added to the Gaussian or top hat. The declared shape may have a profile instead.
     plain_shape, declared = (model.spot(u, v, 1.0, 1.0) for model in (replace(baseline, learned=None), baseline))
     differences = plain_shape + lights - declared
     largest = int(np.abs(differences).sum(axis=(1, 2)).argmax())

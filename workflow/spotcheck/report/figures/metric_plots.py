@@ -1,5 +1,6 @@
 """Figs. 9–12: quality metrics of measured and simulated frames, and metrics that the paper does not show.
 
+The declared model is that of the instrument file. The extended model also has the effects that the verdict added.
 A law gives the width of the spot at each exposure. Without one, each frame is simulated with its own fitted parameters.
 """
 
@@ -146,10 +147,11 @@ def _draw_series(
     divisor: float = 1.0,
     is_constant: bool = False,
 ) -> list:
-    """Draw line number `line` of each series over `x`, all divided by `divisor`; return the handles for the legend.
+    """Draw the line with index `line` of each series over `x`, divided by `divisor`; return the legend's artists.
 
-    Measured frames and the extended model have error bars. The declared model is a horizontal line if `is_constant`:
-    the average of all its frames.
+    `x` are the values of the abscissa [point]. Measured frames and the extended model have error bars. The declared
+    model is a horizontal line at the average of all its frames if `is_constant`. The artists are those of the measured
+    frames, the declared model and, if there is one, the extended model.
     """
     measured, declared, extended = all_series
     left, right = series.offset_lines(x, 2)
@@ -183,6 +185,7 @@ def draw_psnr(results: Results) -> style.Drawing:
     axes = series.choose_axes(ds, store.grid_dims(ds))
     full_scale = float(results.get("sensor")["full_scale_dn"])
     range_db = 20 * np.log10(CONTAINER_RANGE / full_scale)
+    # (registration, data range, text of the ordinate) of each row of panels; both are labels of metrics.nc.
     kinds = (("maximum", "container", "range 65535"), ("fitted", "sensor", f"registered, range {full_scale:.0f}"))
     names = series.list_line_names(ds, axes)
     shown = series.pick_evenly(len(names), PANELS_PER_ROW)
@@ -223,7 +226,7 @@ def draw_psnr(results: Results) -> style.Drawing:
 
 
 def _average_all_frames(statistics: series.LineStatistics) -> float:
-    """Return the mean of a quantity over all frames: that of all points, weighted by their numbers of frames."""
+    """Return the mean of a quantity over all frames: the mean of the points, weighted by their numbers of frames."""
     has_frames = statistics.frames > 0
     return float(np.average(statistics.mean[has_frames], weights=statistics.frames[has_frames]))
 

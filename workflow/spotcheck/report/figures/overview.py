@@ -1,4 +1,4 @@
-"""Overview: one measured spot, its simulation, and their difference."""
+"""Overview: one measured spot, a frame simulated by the declared model, and their difference."""
 
 import numpy as np
 from matplotlib.colors import Normalize

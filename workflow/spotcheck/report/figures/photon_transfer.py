@@ -1,7 +1,8 @@
 """Sensor by flats and darks (EMVA 1288): photon transfer, linearity, signal-to-noise ratio, dark signal, patterns.
 
 A level is a set of equal flats (or darks): frames of the same exposure and light. The signal of a level is its mean
-less that of its dark; its excess is its variance in time less that of its dark. All values are those of transfer.nc.
+less that of its dark; its excess is its variance in time less that of its dark, both at the same exposure. A dark
+is a level without light. All values are those of transfer.nc.
 """
 
 from collections.abc import Callable
@@ -50,9 +51,9 @@ def _quantity_text(quantity: Quantity) -> str:
 
 
 def _read_light(ds: xr.Dataset) -> tuple[np.ndarray, str]:
-    """Return the light of each flat level, and the label of its axis.
+    """Return the light of each flat level of transfer.nc [flat], and the label of its axis.
 
-    It is the number of photons per pixel if all are known, else the exposure in the displayed unit.
+    The light is the number of photons per pixel if all are known, else the exposure in the displayed unit.
     """
     photons = ds["flat_photons"].values
     if np.isfinite(photons).all() and (photons > 0).all():
@@ -72,14 +73,15 @@ class ResponseLine:
     offset: float  # signal without light [DN]; NaN below `MIN_LEVELS` levels
 
     def predict(self, light: np.ndarray) -> np.ndarray:
-        """Return the signal [DN] of the line at `light`, in the unit of the attribute."""
+        """Return the signal [DN] of the line at `light`, which has any shape and the unit of the attribute `light`."""
         return self.slope * light + self.offset
 
 
 def fit_response_line(ds: xr.Dataset) -> ResponseLine:
-    """Fit a line by least relative squares to the levels that EMVA 1288 uses for linearity.
+    """Fit a line by least squares of relative residuals to the levels that EMVA 1288 uses for linearity.
 
-    `ds` is the content of transfer.nc.
+    These are the levels with a signal between the two fractions `LINEARITY_RANGE` of the signal at saturation. `ds` is
+    the content of transfer.nc.
     """
     light, signal, saturated_level = _read_light(ds)[0], ds["signal"].values, int(ds["saturation"])
     # The level is -1 if no flat is saturated.
@@ -246,12 +248,12 @@ def draw_patterns(results: Results) -> style.Drawing:
     figure = style.new_figure(2.6 * len(kinds))
     axes = figure.subplots(len(kinds), 2, squeeze=False, width_ratios=(1, 1.25))
     for (left, right), kind in zip(axes, kinds, strict=True):
-        # The picture is averaged over square blocks of pixels.
-        picture, block_side = ds[f"{kind}_picture"].values, int(ds[f"{kind}_shown_side"])
-        norm = Normalize(*np.quantile(picture, COLOUR_QUANTILES))
-        rows, columns = (count * block_side for count in picture.shape)
+        # Deviation from the mean [block row, block column] in DN, averaged over square blocks of pixels.
+        pattern, block_side = ds[f"{kind}_picture"].values, int(ds[f"{kind}_shown_side"])
+        norm = Normalize(*np.quantile(pattern, COLOUR_QUANTILES))
+        rows, columns = (count * block_side for count in pattern.shape)
         labels = {"title": titles[kind], "xlabel": "column / px", "ylabel": "row / px"}
-        artist = style.show_image(left, picture, style.IMAGE_MAP, norm, (0, columns, rows, 0), **labels)
+        artist = style.show_image(left, pattern, style.IMAGE_MAP, norm, (0, columns, rows, 0), **labels)
         figure.colorbar(artist, ax=left, shrink=0.85, label="off the mean / DN")
         for axis, colour in (("rows", style.MEASURED), ("columns", style.SIMULATED)):
             # The first frequency is 0, where the mean was subtracted.

@@ -1,7 +1,8 @@
 """Precision of a spot fit: Cramér–Rao bound over the exposure, and scatter over repeats in units of the bound.
 
 The scatter is the standard deviation of a fitted parameter over the repeats of a condition. The bound is the smallest
-standard deviation that an unbiased estimate from one frame can have. A source is measured or simulated frames.
+standard deviation that an unbiased estimate from one frame can have. A condition is one value of each dimension of the
+grid other than the repeat, such as an angle and an exposure. A source is "measured" or "simulated" frames.
 """
 
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ class PointLook(NamedTuple):
     """Appearance of the points of a source."""
 
     marker: str  # Matplotlib marker
-    colours: dict[str, Any]  # colours of its edge and face, as Matplotlib properties
+    colours: dict[str, Any]  # Matplotlib properties `color` (edge) and `markerfacecolor`
 
 
 # Looks of the points of each source.

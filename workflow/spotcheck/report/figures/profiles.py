@@ -1,7 +1,8 @@
 """Radial profiles of measured and simulated frames, and their difference.
 
-A profile has the mean over each ring of 1 px around the spot's centre. The simulated reading is the mean one, moved to
-the measured spot.
+A profile has the mean over each ring of 1 px around the spot's centre. The simulated reading is the mean reading,
+without random noise, shifted onto the measured spot. A condition is one exposure with one value of each declared
+condition.
 """
 
 from dataclasses import dataclass
@@ -15,11 +16,12 @@ from spotcheck.report.figures.entry import FRAMES, Category, Entry
 from spotcheck.report.figures.frame_pairs import FittedSpot, iterate_frames
 from spotcheck.report.figures.results import Results, Unavailable
 
+# Largest number of panels, and of panels in a row.
 MAX_PANELS, MAX_COLUMNS = 12, 3
-# Profiles are shown to the radius where the reading falls below this fraction of the highest one, and by this factor
-# beyond it.
+# The light ends where all readings, less the lowest one, are below MIN_FRACTION of the highest one. Profiles are shown
+# up to RADIUS_FACTOR times that radius.
 MIN_FRACTION, RADIUS_FACTOR = 0.01, 1.25
-# Smallest value of the radius before the factor [px].
+# Smallest radius at which the light ends, before the factor [px].
 MIN_RADIUS = 4.0
 
 
@@ -37,7 +39,10 @@ class Profile:
 
 
 def average_rings(image: np.ndarray, spot: FittedSpot, count: int) -> np.ndarray:
-    """Return the mean [DN] of the pixels in each of `count` rings of 1 px around a spot; NaN if a ring is empty."""
+    """Return the mean [DN] of the pixels in each of `count` rings of 1 px around a spot [ring].
+
+    `image` is [row, column] in DN. NaN pixels are ignored; the mean is NaN if a ring has no other.
+    """
     y, x = np.indices(image.shape)
     ring = np.hypot(y - spot.row, x - spot.column).astype(int)
     is_used = np.isfinite(image) & (ring < count)
@@ -55,6 +60,7 @@ def average_profiles(results: Results) -> list[Profile]:
     profiles = []
     for numbers in np.ndindex(*(crops.sizes[dim] for dim in dims)):
         index = dict(zip(dims, numbers, strict=True))
+        # Measured and predicted profile of each frame [frame][source][ring].
         rings = [
             [average_rings(image, frame.spot, min(predicted.shape) // 2) for image in (frame.image, predicted)]
             for frame, predicted in iterate_frames(results, index)

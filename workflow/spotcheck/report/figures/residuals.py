@@ -24,7 +24,7 @@ MAX_PANELS, MAX_COLUMNS = 48, 3
 HALF_SIDE_WIDTHS = 3.0
 # Percentile of the absolute residual at which the colours end.
 COLOUR_PERCENTILE = 99.8
-SMALL = 8.5  # font size of the names of rows and columns
+SMALL = 8.5  # font size of the names of rows and columns [pt]
 
 
 class Panel(NamedTuple):
@@ -61,6 +61,7 @@ def _average_residual(results: Results, index: dict[str, int]) -> Panel | None:
     """Return the mean residual of all usable frames at an index of some dimensions of the grid; None without one."""
     crops = results.get("crops")
     shape = crops.sizes["y"], crops.sizes["x"]
+    # Sum of the residuals, and number of frames with a finite one, of each pixel.
     total, count, spots = np.zeros(shape), np.zeros(shape), []
     for frame, predicted in iterate_frames(results, index):
         residual = frame.image - predicted

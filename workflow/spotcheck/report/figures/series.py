@@ -18,7 +18,8 @@ from spotcheck.report.figures.results import Unavailable
 
 # Units of the dimensions that every grid has; any other dimension is a declared condition.
 UNITS = {"angle": "degree", "exposure": "s", "repeat": "1"}
-# Ticks are at the values if there are at most MAX_TICKS, further apart than the range of the values / TICK_SLOTS.
+# Ticks are at the values if there are at most MAX_TICKS, all further apart than the range of the values / TICK_SLOTS:
+# the labels of closer ticks would overlap.
 MAX_TICKS, TICK_SLOTS = 10, 14
 
 
@@ -52,7 +53,10 @@ def choose_axes(ds: xr.Dataset, grid: tuple[str, ...]) -> PlotAxes:
 
 
 def average_frames(values: xr.DataArray, axes: PlotAxes) -> LineStatistics:
-    """Return the statistics of `values` on the grid of frames for each line and point; NaN is left out."""
+    """Return mean, standard deviation and number of the finite `values` for each line and point.
+
+    `values` has the dimensions that `axes` names, in any order. The statistics have one line if `axes.lines` is None.
+    """
     plot_dims = [dim for dim in (axes.lines, axes.abscissa) if dim]
     array = values.transpose(*plot_dims, *axes.pooled).values.astype(float)
     array = array.reshape(*array.shape[: len(plot_dims)], -1)

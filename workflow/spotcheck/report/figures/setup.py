@@ -58,7 +58,7 @@ class Geometry:
 
 
 def read_geometry(results: Results) -> Geometry:
-    """Return the geometry of the instrument.
+    """Return the dimensions of the set-up by the instrument file and the size of the frames in frames.nc.
 
     Raises `Unavailable` if the instrument file has no focal length, working distance or pixel pitch.
     """
@@ -93,7 +93,7 @@ def draw_setup(results: Results) -> style.Drawing:
     # Heights of drawing and table [inch].
     scene_height = style.WIDTH * RELATIVE_HEIGHT * geometry.field[0] * stretch / geometry.width
     heights = scene_height, LINE_HEIGHT * math.ceil(len(rows) / 2)
-    figure = style.new_figure(sum(heights) + 0.15)
+    figure = style.new_figure(sum(heights) + 0.15)  # with a gap between drawing and table
     upper, lower = figure.subplots(2, 1, height_ratios=heights)
     upper.set_aspect(stretch)
     _draw_scene(upper, geometry, bool(results.instrument.laser.wavelength_m))

@@ -1,8 +1,9 @@
-"""Significance of residuals by place and test, and evidence for each named effect.
+"""Significance of residuals by condition, ring and test, and evidence for each named effect.
 
 z is a residual or a test statistic in standard deviations of noise. The verdict names an effect if adding it to the
 model explains the residuals. Its rivals are effects that explain them about as well. The gap is the excess of the
-residuals of the declared model (that of the instrument file) over noise, on frames that were held out.
+residuals of the declared model (that of the instrument file) over noise, on held-out frames. A ring is a range of
+distances from the spot's centre. The azimuthal order m is the number of periods of the residual around the ring.
 """
 
 from typing import Any, NamedTuple
@@ -45,7 +46,7 @@ def draw_significance(results: Results) -> style.Drawing:
         raise Unavailable("no condition has a residual")
     threshold = float(ds["z_threshold"])
     largest = float(np.nanmax(np.abs([radial, azimuthal])))
-    # Colours are linear in z up to the threshold and logarithmic above it.
+    # Colours are linear in z up to the threshold and logarithmic above it; they extend to twice the threshold at least.
     norm = SymLogNorm(threshold, vmin=-max(largest, 2 * threshold), vmax=max(largest, 2 * threshold))
     # Height of a row of panels [inch].
     rings_height = float(np.clip(0.17 * len(table.rows) + 0.25, 0.5, 3.0))
@@ -158,7 +159,7 @@ def draw_evidence(results: Results) -> style.Drawing:
     figure = style.new_figure(1.1 + 0.28 * len(candidates))
     left, right = figure.subplots(1, 2, sharey=True)
     for height, candidate in zip(y, candidates, strict=True):
-        # The logarithmic axis has no place for other gains.
+        # A logarithmic axis cannot show a gain of 0 or less.
         if candidate.gain is not None and candidate.gain > 0:
             left.plot(candidate.gain, height, "o", color=candidate.colour)
             left.hlines(height, 1.0, candidate.gain, color=candidate.colour, linewidth=1.4)
@@ -172,7 +173,7 @@ def draw_evidence(results: Results) -> style.Drawing:
     for ax in (left, right):
         ax.grid(False, axis="y")
         ax.tick_params(axis="y", length=0)
-    # The frames on which the gap was measured, as text; None if none were held out.
+    # Text that names the held-out frames on which the gap was measured; None if no frame was held out.
     held_out = verdict["gap"]["on"]
     caption = (
         "Evidence for each named effect: decrease of −2 ln L of the searched frames by the effect, with all other"

@@ -1,6 +1,7 @@
 """Fig. 6 of the paper: the flow of the simulation, with the equation of each step and the stages of the model.
 
-The stages are those of `model.stage`, at which effects act. Effects that the verdict named stand at their stages.
+A stage (`model.stage.Stage`) is a point of the forward model at which effects act. The figure shows the effects that
+the verdict named beside the stages at which they act.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ class Step:
     action: str  # what is computed
     equation: str  # its formula, as mathematical text
     number: str  # numbers of the equations in the paper
-    stages: tuple[Stage, ...]  # stages of the model that the step has
+    stages: tuple[Stage, ...]  # stages of the model that belong to the step; empty if no effect can act there
 
 
 STEPS = (
@@ -93,7 +94,10 @@ def _named_effects(results: Results) -> dict[Stage, list[str]]:
 
 
 def _draw_step(ax: Axes, step: Step, number: int, top: float) -> None:
-    """Draw the box of a step: its number and action, the equation, and the numbers of the paper's equations."""
+    """Draw the box of step `number` (from 1): its action, its formula, and the numbers of the paper's equations.
+
+    `top` is the distance of the box from the upper edge of the figure [inch].
+    """
     box = FancyBboxPatch((LEFT + 0.04, top + 0.04), WIDTH - 0.08, STEP_HEIGHT - 0.08, boxstyle="round,pad=0.04",
                          facecolor=FACE, edgecolor=BORDER, linewidth=0.8)  # fmt: skip
     ax.add_patch(box)
@@ -103,7 +107,10 @@ def _draw_step(ax: Axes, step: Step, number: int, top: float) -> None:
 
 
 def _write_stages(ax: Axes, step: Step, added: dict[Stage, list[str]], top: float) -> None:
-    """Write the stages of a step beside its box, and below them the effects that the verdict added there."""
+    """Write the stages of a step beside its box, and below them the effects that the verdict added there.
+
+    `added` has the names of the effects by stage. `top` is as in `_draw_step`.
+    """
     titles = ", ".join(stage.title for stage in step.stages)
     ax.text(STAGES_LEFT, top + 0.19, titles, fontsize=7.5, wrap=True)
     names = [name for stage in step.stages for name in added.get(stage, ())]

@@ -16,8 +16,9 @@ from matplotlib.image import AxesImage
 from spotcheck.io import store
 
 WIDTH = 6.5  # inch, the width of a page's text
-DPI = 150
+DPI = 150  # resolution of the PNG files [pixel / inch]
 FORMATS = ("svg", "png")  # file formats, as suffixes
+# Settings of Matplotlib for all figures.
 RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -52,7 +53,7 @@ MEASURED, SIMULATED, ACCENT = "#0072B2", "#D55E00", "#009E73"
 LUMA = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in luma (ITU-R BT.601)
 # Part of the colour map viridis for lines; lighter colours are hard to see on white.
 LINE_COLOURS = (0.02, 0.80)
-SINGLE_LUMA = 0.36  # luma of a line that is alone
+SINGLE_LUMA = 0.36  # luma of a single line
 DASHED = (0, (5, 2))  # line style of simulated curves
 # Markers and dashes of a series of lines; dashes alternate between stroke and gap, in line widths.
 MARKERS = "osD^vPX*"
@@ -203,7 +204,7 @@ def choose_power_of_ten(largest: float) -> tuple[float, str]:
     """
     if not np.isfinite(largest) or abs(largest) < MAX_PLAIN:
         return 1.0, ""
-    # A value is divided by the next power from two thirds of it on: 0.7 million, not 700 thousand.
+    # A power of 1000 is used from two thirds of it on: 0.7 · 10⁶, not 700 · 10³.
     power = int(3 * np.floor(np.log10(abs(largest) * 1.5) / 3))
     return 10.0**power, f"$10^{{{power}}}$ "
 

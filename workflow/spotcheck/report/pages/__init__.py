@@ -1,7 +1,7 @@
 """Self-contained HTML pages: comparisons, equations, symbols, the paper's numbers; and the shell of the report.
 
 All pages share page.html and the style of page.css. A page with plots also includes plots.js and Plotly (`plots`). A
-page is one file and fetches nothing.
+page is one file and loads no other file, so that it can be read offline and passed on.
 """
 
 from pathlib import Path

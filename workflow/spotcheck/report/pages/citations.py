@@ -66,7 +66,7 @@ class Citations:
 
 
 def _mark(text: str, key: str, source: str) -> Markup:
-    """Return the HTML of a text with its key and source; a text without digits or source ("") is only escaped."""
+    """Return the HTML of a text with its key and source; without digits in it or without source, it is only escaped."""
     if not source or not any(character.isdigit() for character in str(text)):
         return escape(text)
     return Markup('<span class="from" data-key="{}" title="{}">{}</span>').format(key, source, text)

@@ -2,7 +2,7 @@
 
 A change is the difference of a number from the first dataset that has it; z is the normal deviate with the p-value of
 the test against no change. A trend is the slope of a number over the dates or the order of the datasets. The verdict of
-a dataset names the effects that the model of its frames lacks.
+a dataset names the effects that the model of its frames lacks. A row is a quantity that datasets share (`table.Row`).
 """
 
 import os
@@ -27,7 +27,7 @@ MOST_CHANGES, MOST_DRAWN = 100, 20
 MOST_ROWS = 200
 # Most datasets and most conditions that a sentence lists.
 MOST_NAMED, MOST_CONDITIONS = 4, 5
-# Height of the plot of z [rem]: of a row, with a name above its points, and of everything around the rows.
+# Heights in the plot of z [rem]: of a row, which has its name above its points, and of all margins together.
 ROW_REM, FRAME_REM = 2.1, 6.0
 RISE, FALL = "▲", "▼"
 # Margin of the abscissa of the plot of z at each end, as a share of its range.
@@ -141,7 +141,10 @@ def direction(change: Change) -> str:
 
 
 def _describe_dataset(comparison: Comparison, k: int, path: Path) -> dict[str, Any]:
-    """Return the row of the k-th dataset in the table of datasets; links are relative to the page at `path`."""
+    """Return the texts of the dataset with index `k` in the table of datasets, by the names that the template uses.
+
+    The link to its report is relative to the page at `path`.
+    """
     dataset = comparison.datasets[k]
     report, verdict = dataset.folder / "report.html", dataset.verdict
     changed = sum(row.is_changed[k] for row in comparison.rows)
@@ -168,9 +171,10 @@ def _largest_z(row: Row) -> float:
 
 
 def _plot_z(comparison: Comparison) -> dict[str, Any] | None:
-    """Return figure, texts and height of the plot of z, for the quantities that differ most.
+    """Return the plot of z for the quantities with the largest |z|; None if no difference was tested.
 
-    Returns None if no difference was tested.
+    The keys are `figure` (Plotly figure as JSON), `alt` (text in place of the figure), `height` (CSS length) and
+    `omitted` (number of quantities that are not shown).
     """
     tested = [row for row in comparison.rows if np.isfinite([change.z for change in row.changes]).any()]
     if not tested:
@@ -260,7 +264,10 @@ def _effect_state(name: str, verdict: dict[str, Any] | None) -> str:
 
 
 def _tabulate_groups(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield the content of the table of each group of quantities; of a long one, the rows with the largest |z|."""
+    """Yield the content of the table of each group of quantities, by the names that the template uses.
+
+    A group with more than `MOST_ROWS` rows is reduced to the rows with the largest |z|.
+    """
     for group in GROUPS:
         rows = [row for row in comparison.rows if row.name.group == group]
         if rows:

@@ -124,7 +124,7 @@ def describe_bound(bound: float | Callable[[EffectScales], float]) -> str:
         return _format_term(bound)
     try:
         return _format_term(bound(EffectScales(*map(_Expression, SCALE_NAMES))))  # type: ignore[arg-type]
-    except TypeError:  # the function does more than arithmetic
+    except TypeError:  # the function does more than arithmetic, which `_Expression` does not support
         return "set by the data"
 
 
@@ -147,7 +147,7 @@ def _parameter_row(parameter: Parameter, vanishes_at: float | None) -> str:
 def _describe_stages(effect: Effect) -> str:
     """Return the stages of the forward model at which an effect acts, and the scopes of its random steps.
 
-    A scope says whether a step is drawn for each frame, for each site, or once for the sensor.
+    The scope of a random step says whether it is drawn for each frame, for each site, or once for the sensor.
     """
     if not effect.stages:
         return "Stage: profile (the baseline holds the learned shape)."
@@ -193,12 +193,12 @@ def describe_effect(effect: Effect) -> str:
 
 
 def _special_case(name: str) -> str:
-    """Return an effect's name; if `name` is a quantity, such as "width", words for all its laws."""
+    """Return a special case as text: the name of an effect unchanged, or "every law of the width" for a quantity."""
     return name if name in vocabulary() else f"every law of the {name}"
 
 
 def _tabulate_stages(effects: Sequence[Effect]) -> str:
-    """Return the Markdown table of stages: what their functions get and return, and which effects act there."""
+    """Return the Markdown table of stages: arguments and result of their functions, and the effects that act there."""
     rows = []
     for stage in Stage:
         names = ", ".join(effect.name for effect in effects if stage in effect.stages)

@@ -1,8 +1,9 @@
 """Catalogue of a results folder: every number that can be looked up, by each of its names.
 
 An entry is a number, or a table of numbers over dimensions such as angle and exposure. Its full name is the file
-without suffix and the variable, joined by dots. A question is a name with labels of dimensions in brackets; a label is
-the value of a coordinate or an index. A rule is a step of the workflow that writes result files.
+without suffix and the variable, joined by dots. A short name is the end of it. A question is a name with labels of
+dimensions in brackets; a label is the value of a coordinate or an index. A secondary entry gives way to another entry
+of the same name. A rule is a step of the workflow that writes result files.
 """
 
 import difflib
@@ -67,12 +68,13 @@ class Catalog:
         name : str
             Full or short name.
         dims : collection of str
-            Dimensions for which the question gives a label; "frame" stands for all dimensions of the frames' grid.
+            Dimensions for which the question gives a label; "frame" stands for all dimensions of the frames' grid. They
+            are not checked for a full name.
 
         Raises
         ------
         InputError
-            If no entry, or more than one, has the name, or if the entry lacks one of the dimensions.
+            If no entry, or more than one, has the name, or if the entry of a short name lacks one of the dimensions.
         """
         if name in self.entries:
             return self.entries[name]
@@ -127,7 +129,7 @@ def _list_names(names: list[str]) -> str:
 def parse_question(text: str) -> tuple[str, dict[str, str | int]]:
     """Return the name in a question, and its labels by dimension; {} without labels.
 
-    Labels are text here; the int of the type is an index that `lookup` puts in place of a frame's name.
+    All labels are text. The type also allows int, since `lookup` replaces the name of a frame by its index.
 
     Raises
     ------
@@ -158,7 +160,7 @@ def load_catalog(results: Path) -> Catalog:
     if not results.is_dir():
         raise InputError(f"{results}: no such folder; name the results of a dataset, such as results/virtual-rig")
     files = [*sorted(results.glob("*.nc")), *sorted(results.glob("*/*.nc")), *(results / name for name in TEXT_READERS)]
-    # The folder of the dataset that the results are of; "" if it is not recorded.
+    # `read_owner` returns the folder of the dataset of these results; "" if it is not recorded.
     if dataset := store.read_owner(results):
         files.append(Path(dataset, INSTRUMENT_FILE))
     dated_files = tuple((str(path), path.stat().st_mtime_ns) for path in files if path.is_file())
@@ -182,7 +184,8 @@ def _load_catalog(results: Path, dated_files: tuple[tuple[str, int], ...]) -> Ca
                 without_images = [key for key, variable in ds.variables.items() if variable.nbytes <= MAX_BYTES]
                 catalog.tables[name] = ds[without_images].load()
             attributes = catalog.tables[name].attrs
-        # A file that no rule writes is from another version of the workflow and is ignored.
+        # A file that no rule writes is from another version of the workflow and is ignored. The user writes the
+        # instrument file, which therefore has a source without rule.
         if source := Source(file, "", "") if is_instrument else read_source(results, file, attributes):
             catalog.sources[name] = source
             _add_numbers(catalog, path, name)

@@ -41,7 +41,7 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
         "how": number.method,
         "key": number.key,
         "in": f"{results / source.file}: {spaced_variable(number.variable)}",
-        # Name and SHA-256 of the only frame that the number is about.
+        # Name and SHA-256 of the frame, if the number belongs to a single one.
         "frame": f"{frame[0]}  {frame[1][:DIGEST_DIGITS]}" if frame else "",
         "by": rule if source.rule else "the user, who provided the file",
         "made": _writing_text(source) if source.rule else "",
@@ -56,7 +56,7 @@ def explanation_text(number: Number, results: Path, question: str, purpose: str)
 
 
 def number_text(number: Number) -> str:
-    """Return value ± error with unit; a number without error that differs from 1 is not rounded to 1."""
+    """Return value ± error with unit as text; a value near 1 without error has up to nine digits."""
     value, text = number.value, quantity_text(number.value, number.stderr, UNITS.get(number.unit, number.unit))
     return f"{value:.9g}" if text == "1" and value != 1 else text
 

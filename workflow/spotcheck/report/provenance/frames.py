@@ -1,7 +1,7 @@
 """Frames that numbers of the results belong to.
 
-The spot frames of a dataset lie on a grid, whose axes are angle, exposure, repeat and declared conditions. A number of
-a table over these dimensions belongs to one frame, or to several if it is not over all of them.
+The spot frames of a dataset lie on a grid, whose axes are angle, exposure, repeat and declared conditions. A number in
+a table over all these dimensions belongs to one frame. A number in a table over some of them belongs to several frames.
 """
 
 import difflib
@@ -42,6 +42,7 @@ def find_frame(results: Path, number: Number) -> tuple[str, str] | None:
     Returns None if the number belongs to several frames or to none, or if the dataset cannot be read.
     """
     labels, path, tables = parse_question(number.key)[1], Path(number.source.file), load_catalog(results).tables
+    # frames.nc in the folder of the file, and the file itself.
     frames, table = (tables.get(name.as_posix()) for name in (path.with_name("frames"), path.with_suffix("")))
     if frames is None or table is None or not labels:
         return None
@@ -60,9 +61,10 @@ def find_frame(results: Path, number: Number) -> tuple[str, str] | None:
 
 
 def find_frame_row(table: xr.Dataset, name: str) -> int | str:
-    """Return the row of a frame in frames.nc (`table`), whose name is its file and, if it has several, the page.
+    """Return the row of the frame `name` in frames.nc, whose content is `table`.
 
-    Returns the name itself, which may be a row number, if no frame has it.
+    The name of a frame is its file, followed by ", page 2" on the second page of a file and so on. If no frame has the
+    name, it is returned unchanged, since it may be a row number as text.
     """
     pages = zip(table["file"].values.tolist(), table["page"].values.tolist(), strict=True)
     labels = [f"{file}, page {int(page)}" if page else file for file, page in pages]

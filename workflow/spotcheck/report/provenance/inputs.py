@@ -21,11 +21,11 @@ from spotcheck.report.provenance.rules import read_source
 class InputFile:
     """An input file with its own inputs."""
 
-    name: str  # path in the results folder, file name of a file elsewhere, or a number of frames in words
+    name: str  # path in the results folder, file name of a file elsewhere, or text such as "48 frames"
     path: str  # path on this computer; "" if the file is gone, and for frames
     digest: str  # first 16 hex digits of the SHA-256 that the file had when it was read; "" for frames
     rule: str  # rule that wrote the file; "" for a file of the user
-    remark: str  # whether the file has changed, is gone, or was listed above; "" if none of these
+    remark: str  # "has changed since", "is gone", "as above", or where digests of frames are; "" if none applies
     inputs: tuple["InputFile", ...] = ()  # its inputs; empty if they were listed above
 
 
@@ -35,7 +35,7 @@ def trace_inputs(results: Path, source: Source) -> list[InputFile]:
 
 
 def _list_inputs(results: Path, source: Source, listed: set[str]) -> Iterator[InputFile]:
-    """Yield the inputs of a result file; `listed` collects the files whose inputs were listed.
+    """Yield the inputs of a result file; adds to `listed` the paths of files whose inputs were listed.
 
     The last input of a frames.nc stands for all frames, whose digests it stores.
     """
@@ -49,9 +49,9 @@ def _list_inputs(results: Path, source: Source, listed: set[str]) -> Iterator[In
 
 
 def _trace_input(results: Path, folder: Path, recorded: Input, listed: set[str]) -> InputFile:
-    """Return an input, as a result file in `folder` recorded it, with its own inputs.
+    """Return an input that a result file in `folder` recorded, with its own inputs.
 
-    `listed` collects the files whose inputs were listed.
+    Adds to `listed` the path of the input, so that the inputs of a repeated file are listed once.
     """
     path, remark = _find_input(results, folder, recorded)
     file = path.relative_to(results).as_posix() if path and path.is_relative_to(results) else ""
@@ -79,7 +79,8 @@ def _find_source(results: Path, file: str) -> Source | None:
 def _find_input(results: Path, folder: Path, recorded: Input) -> tuple[Path | None, str]:
     """Return the path of an input of a file in `folder`, and a remark if it has changed or is gone.
 
-    A file with the recorded name and digest is the input. If there is none, a file with the name has changed.
+    The input is the file with the recorded name and digest. If there is only a file with the name, it has changed and
+    is returned. If there is none, the input is gone and the path is None.
     """
     dataset = store.read_owner(results)
     likely_paths = [parent / recorded.name for parent in (folder, results, *([Path(dataset)] if dataset else []))]

@@ -62,7 +62,8 @@ def _read_table(
 ) -> StoredNumber:
     """Return the number of a netCDF file at the labels by dimension; `frame` stands for all dimensions of the grid.
 
-    Raises `InputError`, which starts with the `question`, if a required label is missing.
+    `labels` is changed in place: the index of the frame is added. Raises `InputError`, which starts with the
+    `question`, if a required label is missing.
     """
     file = entry.path[0]
     table = catalog.tables[file]

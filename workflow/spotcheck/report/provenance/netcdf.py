@@ -1,7 +1,7 @@
 """Numbers in netCDF result files: catalogue entries and values.
 
 A label is the value of a coordinate, or an index of a dimension without one. A long table has one row for each named
-quantity, with its value, standard error and unit.
+quantity, with its value, standard error and unit. An entry is a number, or a table of numbers, with its names.
 """
 
 from collections.abc import Iterator, Mapping
@@ -13,7 +13,7 @@ from spotcheck.characterization.emva_quantities import QUANTITIES
 from spotcheck.errors import InputError
 from spotcheck.report.provenance.records import CatalogEntry, StoredNumber
 
-# Attribute of a file that holds the label of a dimension that the workflow itself uses, by dimension.
+# Attribute of a file that names the default label of a dimension, which is the one that the workflow itself uses.
 DEFAULT_ATTRIBUTES = {"estimator": "used", "fit": "preferred"}
 # Label of the dimension `centring` for the crops that the workflow itself uses.
 DEFAULT_CENTRING = "light"
@@ -101,6 +101,7 @@ def read_number(ds: xr.Dataset, entry: CatalogEntry, labels: Mapping[str, str | 
         index[dim] = label if isinstance(label, int) else find_label(ds, dim, label, f"{entry.key}[{dim}={label}]")
     position = tuple(index.values())
     value, stderr_variable = float(values[position]), _find_stderr(ds, variable)
+    # Only dimensions with several values are listed with the variable.
     all_labels = {dim: dim_labels(ds, dim)[k] for dim, k in index.items()}
     listed_labels = {dim: label for dim, label in all_labels.items() if ds.sizes[dim] > 1}
     # Attributes of the variable, and of the file for the selected labels, say how the number was obtained.
@@ -134,9 +135,9 @@ def _read_quantity(ds: xr.Dataset, name: str) -> StoredNumber:
 
 
 def _find_stderr(ds: xr.Dataset, variable: str) -> str | None:
-    """Return the variable with the standard error of another one; None if there is none.
+    """Return the name of the variable with the standard error of `variable`; None if there is none.
 
-    Without its marker it has the name of the variable, or this name without `_mean`, and the same dimensions.
+    It has the same dimensions. Its name without `_stderr` or `_error` is that of the variable, with or without `_mean`.
     """
     candidates = [name for name in map(str, ds.data_vars) if is_stderr(name) and ds[name].dims == ds[variable].dims]
     for name in (variable, variable.removesuffix("_mean")):

@@ -59,10 +59,10 @@ class CatalogEntry:
 
     path: tuple[str, ...]  # words of the full key; the first is the file name without suffix
     aliases: frozenset[str] = frozenset()  # other names for the last word of the path
-    min_words: int = 1  # least number of words of the path in a name
+    min_words: int = 1  # smallest number of words of the path that make a name
     dims: tuple[str, ...] = ()  # dimensions for which a question may give a label
     required_dims: tuple[str, ...] = ()  # dimensions for which a question must give a label
-    is_secondary: bool = False  # whether a name that it shares with another entry means the other one
+    is_secondary: bool = False  # whether a name that this entry shares with another one means the other one
 
     @property
     def key(self) -> str:

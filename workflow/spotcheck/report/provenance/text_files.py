@@ -43,7 +43,10 @@ def read_verdict(path: Path) -> NamedNumbers:
 
 
 def _walk(parent: Any, schema: Schema, path: Words, words: Words) -> NamedNumbers:
-    """Yield all numbers below an object or list with a schema; `path` leads to it, and `words` describe it."""
+    """Yield all numbers in an object or list `parent` and its children.
+
+    `schema` is the JSON schema of `parent`, `path` are the words of the name of `parent`, and `words` describe it.
+    """
     for key, child, new_words in _list_children(parent):
         child_schema = _child_schema(schema, key, isinstance(parent, list))
         child_path = (*path, *new_words)
@@ -62,9 +65,10 @@ def _walk(parent: Any, schema: Schema, path: Words, words: Words) -> NamedNumber
 
 
 def _list_children(parent: Any) -> Iterator[tuple[Any, Any, Words]]:
-    """Yield key or index, value, and the words that it adds to the path, for each child of an object or list.
+    """Yield (key or index, value, words that are added to the path) for each child of an object or list.
 
-    The key `value` adds no word: the number is named like its object. An item without a name adds its index.
+    The key `value` adds no word: the number is named like its object. An item of a list adds its name and, if it has
+    one, its parameter. An item without a name adds its index.
     """
     if isinstance(parent, dict):
         yield from ((key, child, () if key == "value" else (str(key),)) for key, child in parent.items())
@@ -78,7 +82,11 @@ def _list_children(parent: Any) -> Iterator[tuple[Any, Any, Words]]:
 def _number_of_verdict(
     parent: Any, schema: Schema, key: Any, child_schema: Schema, path: Words, words: Words
 ) -> StoredNumber:
-    """Return the number at `key` of an object or list with a schema; `path` leads to it, and `words` describe it."""
+    """Return the number at `key` of an object or list `parent`.
+
+    `schema` and `child_schema` are the JSON schemas of `parent` and of the number, `path` are the words of the name of
+    the number, and `words` describe it.
+    """
     siblings = parent if isinstance(parent, dict) else {}
     # The schema describes an object {value, stderr} as a whole.
     number_schema = schema | child_schema if key == "value" else child_schema
