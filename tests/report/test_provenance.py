@@ -227,6 +227,7 @@ def test_other_spellings_of_a_name_are_understood(results, asked, usual):
         ("full_scale", r"full_scale: is the name of several numbers; write one of frames\.full_scale, sensor\.full_sc"),
         ("p1[foo=2]", r"p1: has no foo; its dimensions are estimator, angle, repeat"),
         ("gain[angle=0]", r"gain: has no angle; it is one number"),
+        ("fits.sigma_mean[fitt=likelihood]", r"fits.sigma_mean: has no fitt; its dimensions are "),
         ("p1[estimator=best]", r"no such estimator; there are regression, regression_of_width, likelihood"),
         ("fits.sigma_mean[angle=45,exposure=1e-4,repeat=0]", r"no such angle; there are 0, 90"),
         ("fits.sigma_mean[frame=drawn.tif]", r"frame=drawn.tif: no frame of a spot has this name; write e\.g\. f"),

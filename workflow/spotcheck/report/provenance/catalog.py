@@ -68,17 +68,15 @@ class Catalog:
         name : str
             Full or short name.
         dims : collection of str
-            Dimensions for which the question gives a label; "frame" stands for all dimensions of the frames' grid. They
-            are not checked for a full name.
+            Dimensions for which the question gives a label; "frame" stands for all dimensions of the frames' grid.
 
         Raises
         ------
         InputError
-            If no entry, or more than one, has the name, or if the entry of a short name lacks one of the dimensions.
+            If no entry, or more than one, has the name, or if the entry lacks one of the dimensions.
         """
-        if name in self.entries:
-            return self.entries[name]
-        candidates = self.entries_by_name.get(name) or self._find_other_spelling(name)
+        full = [self.entries[name]] if name in self.entries else []
+        candidates = full or self.entries_by_name.get(name) or self._find_other_spelling(name)
         candidates = [entry for entry in candidates if not entry.is_secondary] or candidates
         labelled_dims = set(dims) - {"frame"}
         matches = [entry for entry in candidates if labelled_dims <= set(entry.dims)]
