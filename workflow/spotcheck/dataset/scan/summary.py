@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from spotcheck.dataset.manifest import parse_number
 from spotcheck.dataset.metadata.entry import BINNING, PITCH
+from spotcheck.dataset.metadata.units import UNDECIDABLE_COMMA
 from spotcheck.dataset.scan.answers import get_column_dimension
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, Conflict, ManifestDraft, UnusedMetadata
 from spotcheck.dataset.scan.folder_scan import FolderScan
@@ -105,6 +106,9 @@ def _list_gaps(draft: ManifestDraft) -> Iterator[str]:
             if PITCH in draft.instrument_keys:
                 continue
             yield f"{_format_unused(unused)}: rows and columns are binned differently; {PITCH_LEFT_BLANK}"
+        elif unused.column and UNDECIDABLE_COMMA in unused.text:
+            text = _format_unused(unused).replace(f" {UNDECIDABLE_COMMA}", "")
+            yield f"{unused.column}: {text}: commas may separate thousands or decimals; write the column without them"
         elif unused.column:
             dimension = get_column_dimension(unused.column) if unused.column in METADATA_COLUMNS else None
             example_unit = {"s": "ms", "m": "mm"}.get(dimension or "")
