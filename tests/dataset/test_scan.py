@@ -58,23 +58,25 @@ def test_a_scan_by_its_names(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("largest", "exposures"),
-    [("1,500", {""}), ("1,500,000", {"0.0005", "0.0015", "1.5"}), ("1,5", {"0.0005", "0.0000015"})],
+    ("cells", "exposures_s"),
+    [
+        (("500", "1,500", "1,500"), None),
+        (("500", "1,500", "1,500,000"), {0.0005, 0.0015, 1.5}),
+        (("500", "500", "1,5"), {0.0005, 0.0000015}),
+    ],
 )
-def test_commas_of_a_log_table_are_decided_or_asked_for(tmp_path, capsys, largest, exposures):
+def test_commas_of_a_log_table_are_decided_or_asked_for(tmp_path, capsys, cells, exposures_s):
     """One cell that can be read in one way decides for its column; without one, the column stays empty."""
     saved(tmp_path, "a.tif", "b.tif", "c.tif")
-    middle = "1,500" if len(exposures) != 2 else "500"
-    table = ["File name,Exposure (us)", "a.tif,500", f'b.tif,"{middle}"', f'c.tif,"{largest}"']
+    table = ["File name,Exposure (us)", *(f'{name}.tif,"{cell}"' for name, cell in zip("abc", cells, strict=True))]
     (tmp_path / "log.csv").write_text("\n".join(table) + "\n", encoding="utf-8")
     main(["new-dataset", str(tmp_path)])
     said = capsys.readouterr().out
     lines = [line for line in (tmp_path / "manifest.csv").read_text().splitlines() if not line.startswith("#")]
-    rows = list(csv.DictReader(lines))
-    assert {f"{float(row['exposure_s']):g}" if row["exposure_s"] else "" for row in rows} == {
-        f"{float(text):g}" if text else "" for text in exposures
-    }
-    assert ("commas may separate thousands or decimals; write the column without them" in said) == (exposures == {""})
+    written = {row["exposure_s"] for row in csv.DictReader(lines)}
+    assert written == {""} if exposures_s is None else set(map(float, written)) == exposures_s
+    is_asked_for = "commas may separate thousands or decimals; write the column without them" in said
+    assert is_asked_for == (exposures_s is None)
 
 
 def test_check_names_what_a_run_will_skip(tmp_path, capsys):

@@ -1,5 +1,5 @@
-# Executed notebooks are results, as notebook and as page. Each appears whole: papermill writes as it goes, so it writes
-# beside. The page loads nothing from the network.
+# Executed notebooks are results, as notebook and as page. Each appears whole: it is written
+# under another name, since papermill writes while it runs. The page loads nothing from the network.
 # A kernel may fail to start: its ports are drawn before they are bound (nteract/papermill#511), and a busy machine takes
 # longer than the minute that papermill waits.
 rule notebook:

@@ -11,8 +11,8 @@ from spotcheck.crops.ingest import check_dataset
 from spotcheck.dataset import folder
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.dataset.plausibility import list_unusual_values
-from spotcheck.fitting.calibration import find_missing_law
-from spotcheck.fitting.caustic import find_missing_key
+from spotcheck.fitting.calibration import explain_missing_law
+from spotcheck.fitting.caustic import explain_missing_caustic
 from spotcheck.io import configuration
 from spotcheck.model import baseline
 
@@ -43,7 +43,10 @@ def run(args: argparse.Namespace) -> None:
     for remark in filter(None, remarks):
         print(remark)
     if dataset.spots:
-        reasons = (find_missing_law(dataset.instrument, dataset.exposures), find_missing_key(dataset.instrument))
+        reasons = (
+            explain_missing_law(dataset.instrument, dataset.exposures),
+            explain_missing_caustic(dataset.instrument),
+        )
         for reason in filter(None, reasons):
             print(f"will be skipped: {reason}")
     path = shlex.quote(str(dataset.folder.resolve()))

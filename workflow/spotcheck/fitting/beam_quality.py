@@ -8,15 +8,15 @@ from spotcheck.io.number_text import quantity_text
 IMPOSSIBLE_SIGMAS = 3.0
 
 
-def describe_impossible_m2(m2_by_axis: Mapping[str, tuple[float, float]], *factors: str) -> str:
+def describe_impossible_m2(m2_by_axis: Mapping[str, tuple[float, float]], pitch: str, wavelength: str, z: str) -> str:
     """Return a remark if M² is significantly below 1, which no beam can have; "" otherwise.
 
     Parameters
     ----------
     m2_by_axis : M² and its standard error, by the name of the axis; NaN if unknown.
-    factors : what M² is computed from, as the user knows them: pixel pitch and wavelength with their values, and z.
+    pitch, wavelength : pixel pitch and wavelength, by the name that the user knows, with their values.
+    z : name of the positions along the beam.
     """
-    pitch, wavelength, z = factors
     low = list_low_axes(m2_by_axis, IMPOSSIBLE_SIGMAS)
     return low and (
         f"M² is below 1 ({low}), which no beam can have; it grows with {pitch} squared and falls with {wavelength} and"

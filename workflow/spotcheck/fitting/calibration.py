@@ -36,7 +36,7 @@ SIMULATION_ESTIMATOR = "regression"
 TOO_FEW_EXPOSURES = "p1 and p2 need usable spots of one site at two exposures or more"
 
 
-def find_missing_law(instrument: Instrument, exposures_s: Sequence[float] | np.ndarray) -> str:
+def explain_missing_law(instrument: Instrument, exposures_s: Sequence[float] | np.ndarray) -> str:
     """Return a sentence that says why there is no law of the width over exposure time; "" if there may be one.
 
     `exposures_s` are the distinct exposure times of the spots [s].
@@ -65,7 +65,7 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     """
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     exposures = fits["exposure"].values if "exposure" in fits.coords else np.empty(0)
-    if reason := find_missing_law(instrument, exposures):
+    if reason := explain_missing_law(instrument, exposures):
         return ds.assign_attrs(skipped=reason)
     baseline = of_instrument(instrument, exposures)
     widths, site_dims = _select_widths(fits)

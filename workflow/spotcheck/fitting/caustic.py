@@ -285,7 +285,7 @@ def compute_interval_half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:
     return stderr * stats.t.ppf((1 + LEVEL) / 2, degrees)
 
 
-def find_missing_key(instrument: Instrument) -> str:
+def explain_missing_caustic(instrument: Instrument) -> str:
     """Return a sentence that names the key of instrument.yaml without which there is no caustic; "" if none is missing.
 
     A dataset without the condition z has no caustic by design, so that nothing is missing.
@@ -317,7 +317,7 @@ def compute_caustic(fits: xr.Dataset, instrument: Instrument) -> xr.Dataset:
     ds = xr.Dataset(attrs={name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")})
     if CONDITION not in instrument.conditions or CONDITION not in fits.coords:
         return ds.assign_attrs(skipped=f"a caustic needs the declared condition {CONDITION}")
-    if reason := find_missing_key(instrument):
+    if reason := explain_missing_caustic(instrument):
         return ds.assign_attrs(skipped=reason)
     pitch, wavelength = instrument.sensor.pixel_pitch_m, instrument.laser.wavelength_m
     assert pitch is not None and wavelength is not None
@@ -387,8 +387,8 @@ def _check_m2(ds: xr.Dataset, pitch: float, wavelength: float) -> list[str]:
     """
     values = zip(ds["m2"].values.tolist(), ds["m2_stderr"].values.tolist(), strict=True)
     m2_by_axis = dict(zip(AXES, values, strict=True))
-    factors = f"sensor.pixel_pitch_m ({pitch:g})", f"laser.wavelength_m ({wavelength:g})", CONDITION
-    if remark := describe_impossible_m2(m2_by_axis, *factors):
+    factors = f"sensor.pixel_pitch_m ({pitch:g})", f"laser.wavelength_m ({wavelength:g})"
+    if remark := describe_impossible_m2(m2_by_axis, *factors, CONDITION):
         return [remark]
     if low := list_low_axes(m2_by_axis, 1.0):
         return [

@@ -267,15 +267,14 @@ def list_scan_cautions(look: Look) -> list[str]:
     if not look.beams:
         return []
     cautions = []
-    factors = f"the pixel pitch ({look.pixel_pitch_m:g} m)", f"the wavelength ({look.wavelength_m:g} m)", "z"
-    for scan in look.beams:
-        m2_by_axis = {
-            f"{scan.method}, {axis}": (caustic.m2, caustic.m2_stderr) for axis, caustic in scan.caustics.items()
-        }
-        if caution := describe_impossible_m2(m2_by_axis, *factors):
-            cautions.append(caution)
-            # Both methods have the same pitch, wavelength and positions: one caution tells all.
-            break
+    pitch, wavelength = f"the pixel pitch ({look.pixel_pitch_m:g} m)", f"the wavelength ({look.wavelength_m:g} m)"
+    m2_by_method = (
+        {f"{scan.method}, {axis}": (caustic.m2, caustic.m2_stderr) for axis, caustic in scan.caustics.items()}
+        for scan in look.beams
+    )
+    # Both methods have the same pitch, wavelength and positions, so that the first caution is enough.
+    remarks = (describe_impossible_m2(m2_by_axis, pitch, wavelength, "z") for m2_by_axis in m2_by_method)
+    cautions += [remark for remark in remarks if remark][:1]
     if any(image.width_excess > 0 for image in look.images):
         cautions.append(
             "use M² by second moments: fits ignore light outside the Gaussian, which ISO 11146 includes, so their M² is"

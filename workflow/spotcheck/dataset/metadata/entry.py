@@ -97,17 +97,21 @@ def _apply_binning(entries: list[MetadataEntry]) -> list[MetadataEntry]:
     binnings = {entry.value: entry for entry in entries if entry.column == BINNING}
     if not set(binnings) - {1}:
         return entries
-    # ASSUME: cameras and their programs state the pixel size of the sensor, which binning does not change.
-    is_sensor_pitch = [entry.column == PITCH and not entry.includes_binning for entry in entries]
     factor, binning = next(iter(binnings.items()))
     if len(binnings) > 1 or not isinstance(factor, int):
-        return [entry for entry, is_unbinned in zip(entries, is_sensor_pitch, strict=True) if not is_unbinned]
+        return [entry for entry in entries if not _is_sensor_pitch(entry)]
     return [
         replace(entry, value=entry.value * factor, text=f"{entry.text} × {factor} ({binning.text})")
-        if is_unbinned and isinstance(entry.value, float)
+        if _is_sensor_pitch(entry) and isinstance(entry.value, float)
         else entry
-        for entry, is_unbinned in zip(entries, is_sensor_pitch, strict=True)
+        for entry in entries
     ]
+
+
+def _is_sensor_pitch(entry: MetadataEntry) -> bool:
+    """Return whether an entry is the pixel pitch of the sensor, before binning."""
+    # ASSUME: cameras and their programs state the pixel size of the sensor, which binning does not change.
+    return entry.column == PITCH and not entry.includes_binning
 
 
 def is_consistent(first: MetadataEntry, second: MetadataEntry) -> bool:

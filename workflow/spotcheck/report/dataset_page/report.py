@@ -37,6 +37,12 @@ FRAME_RESULTS = ("crops", "simulated", "views", "extended")
 Content = dict[str, Any]  # variables of the template report.html
 Stages = dict[str, xr.Dataset]  # results by the name of their stage
 
+# Titles of the tables from docstrings, by their path below the results folder.
+TABLES_OF_CODE = {
+    "docs/equations.html": "Equations of the paper, with the functions and tests of each",
+    "docs/symbols.html": "Symbols of the paper, and their names in the code",
+}
+
 
 def write_report(dataset: Dataset, results: Path, path: Path) -> None:
     """Write the report of a dataset.
@@ -192,12 +198,7 @@ def _list_other_pages(results: Path) -> list[tuple[str, str]]:
         is_heading = first_line.startswith("# ") and cells[0]["cell_type"] == "markdown"
         title = first_line.removeprefix("# ") if is_heading else page.stem
         pages.append((f"notebooks/{page.name}", f"Notebook: {title}"))
-    tables_of_code = {
-        "equations": "Equations of the paper, with the functions and tests of each",
-        "symbols": "Symbols of the paper, and their names in the code",
-    }
-    present = [name for name in tables_of_code if (results / "docs" / f"{name}.html").exists()]
-    return pages + [(f"docs/{name}.html", tables_of_code[name]) for name in present]
+    return pages + [(path, title) for path, title in TABLES_OF_CODE.items() if (results / path).exists()]
 
 
 def _list_links(content: Content) -> list[tuple[str, str]]:
