@@ -1,4 +1,4 @@
-"""Maps of a sensor's pixels: offset of each above the common black level, and its gain relative to the others."""
+"""Maps of the pixels of a sensor: the offset of each pixel above the black level, and its relative gain."""
 
 from typing import NamedTuple
 
@@ -6,16 +6,21 @@ import numpy as np
 
 
 class PixelMaps(NamedTuple):
-    """Offset and gain of each pixel of a sensor, for fits of spots.
+    """Offset and relative gain of each pixel of a sensor, for fits of spots.
 
-    The mean reading of a pixel is black level + offset + K gain ν, where ν are the mean electrons of a pixel with the
-    gain 1 under the same light, and K is the gain of the sensor [DN/e-].
+    The mean reading of a pixel is black level + offset_dn + K · gain · ν [DN]. K is the gain of the sensor [DN/e-], and
+    ν is the mean number of electrons in a pixel of relative gain 1 under the same light.
 
     Parameters
     ----------
-    offset_dn : excess of each pixel over the common black level [rows, columns] in DN; NaN where it is unknown.
-    gain : electrons of each pixel relative to the average pixel under equal light [rows, columns]; NaN where unknown.
-    offset_stderr_dn, gain_stderr : standard errors of one pixel's offset [DN] and gain [1]; they are noise to a fit.
+    offset_dn : ndarray
+        Excess of each pixel over the common black level [rows, columns] in DN; NaN where it is unknown.
+    gain : ndarray
+        Electrons of each pixel relative to the average pixel under equal light [rows, columns]; NaN where unknown.
+    offset_stderr_dn : float, optional
+        Standard error of the offset of one pixel [DN]. A fit adds it to the noise of the readings.
+    gain_stderr : float, optional
+        Standard error of the relative gain of one pixel. A fit adds it to the noise of the readings.
 
     Examples
     --------
@@ -36,16 +41,27 @@ class PixelMaps(NamedTuple):
     gain_stderr: float = 0.0
 
     def cut(self, top: int, left: int, rows: int, columns: int) -> "PixelMaps":
-        """Return the maps of a window of the sensor [rows, columns], NaN where it reaches beyond the sensor.
+        """Return the maps of a window of the sensor.
 
-        `top` and `left` are the row and the column of its first pixel on the sensor [px]; they may be negative.
+        Parameters
+        ----------
+        top, left : int
+            Row and column of the sensor at which the window starts [px]. They may be negative.
+        rows, columns : int
+            Size of the window [px].
+
+        Returns
+        -------
+        PixelMaps
+            Maps [rows, columns] with the same standard errors; NaN where the window reaches beyond the sensor.
         """
         windows = []
-        for values in (self.offset_dn, self.gain):
+        for sensor_map in (self.offset_dn, self.gain):
             window = np.full((rows, columns), np.nan)
             # First row and column of the window that are on the sensor.
-            y, x = max(-top, 0), max(-left, 0)
-            known = values[max(top, 0) : max(top + rows, 0), max(left, 0) : max(left + columns, 0)]
-            window[y : y + known.shape[0], x : x + known.shape[1]] = known
+            first_row, first_column = max(-top, 0), max(-left, 0)
+            on_sensor = sensor_map[max(top, 0) : max(top + rows, 0), max(left, 0) : max(left + columns, 0)]
+            height, width = on_sensor.shape
+            window[first_row : first_row + height, first_column : first_column + width] = on_sensor
             windows.append(window)
         return self._replace(offset_dn=windows[0], gain=windows[1])

@@ -1,15 +1,27 @@
-"""Response curvature: a signal x [DN above black] is read as x − c x², with the curvature c [1/DN].
+"""Response curvature: the response of a sensor to a signal x [DN] is x − c x², with the curvature c [1/DN].
 
-Beyond its extremum at 1/(2c) the response stays constant, so that it never decreases.
+The signal is what a linear sensor would read, the response is what this sensor reads; both are without black level. The
+parabola has its extremum at x = 1/(2c). Beyond the extremum the response stays constant, so that it never decreases
+with the signal.
 """
 
 import numpy as np
 
 
 def apply_curvature(signal, curvature: float):
-    """Return the response [DN] to a signal [DN] of any shape, both without black level.
+    """Return the response of a sensor to a signal.
 
-    `curvature` is c [1/DN], of either sign; 0 for a linear response.
+    Parameters
+    ----------
+    signal : float or ndarray
+        Reading of a linear sensor above the black level [DN], of any shape.
+    curvature : float
+        Curvature c [1/DN], of either sign; 0 for a linear response.
+
+    Returns
+    -------
+    float or ndarray
+        Response above the black level [DN], of the shape of `signal`.
     """
     if curvature == 0:
         return signal
@@ -19,9 +31,20 @@ def apply_curvature(signal, curvature: float):
 
 
 def remove_curvature(response, curvature: float):
-    """Return the signal [DN] that has a response [DN]: the inverse of `apply_curvature`.
+    """Return the signal that causes a response: the inverse of `apply_curvature`.
 
-    A response that no signal reaches gives the signal at the extremum. Arguments are as for `apply_curvature`.
+    Parameters
+    ----------
+    response : float or ndarray
+        Response above the black level [DN], of any shape.
+    curvature : float
+        Curvature c [1/DN], of either sign; 0 for a linear response.
+
+    Returns
+    -------
+    float or ndarray
+        Signal above the black level [DN], of the shape of `response`. If no signal causes a response, because it lies
+        beyond the extremum of the parabola, the signal at the extremum is returned.
     """
     if curvature == 0:
         return response

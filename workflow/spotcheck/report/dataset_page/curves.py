@@ -1,8 +1,9 @@
 """Curves of the results, drawn by Plotly with values on hover.
 
-p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure. The frames lie on a
-grid of angles, exposures, repeats and declared conditions. Functions take the results (`files`) as netCDF contents by
-file name without suffix, without skipped ones.
+The width of the spot at the exposure t is p1 ln t + p2 [px], plus the width of the laser. The frames lie on a grid with
+the dimensions angle, exposure, repeat and declared conditions. The argument `files` holds the content of each netCDF
+result by file name without suffix; results of skipped stages are missing. Results have a source: measured frames,
+frames simulated by the declared model, or frames simulated by the extended model with the effects of the verdict.
 """
 
 from collections.abc import Mapping
@@ -20,15 +21,16 @@ from spotcheck.report.figures import series, style
 from spotcheck.report.figures.photon_transfer import fit_response_line
 from spotcheck.report.pages.plots import figure_json
 
-# Number of points of a law that is drawn as a line.
+# Number of points of the line p1 ln t + p2.
 LINE_POINTS = 60
 # Colours of page.css by the source of a value.
 COLOURS = {"measured": "var(--measured)", "simulated": "var(--simulated)", "extended": "var(--accent)"}
 # Dashes of Plotly by the source of a value.
 SOURCE_DASHES = {"measured": "solid", "simulated": "dash", "extended": "dot"}
-# Names of the distributions of readings in bounds.nc.
+# Names of the distributions of readings for which bounds.nc has bounds (its dimension `law`).
 READING_LAWS = {"poisson_gauss": "shot and read noise", "poisson": "shot noise alone", "dn": "a Poisson law of DN"}
-# Ordinate of the nonlinearity: so many times the largest deviation in the fitted range, at least this [%].
+# The ordinate of the nonlinearity ends at ±DEVIATION_MARGIN times the largest deviation of a level to which the line
+# was fitted; smaller deviations than LEAST_DEVIATION [%] count as that.
 DEVIATION_MARGIN, LEAST_DEVIATION = 1.6, 0.1
 # Symbols and dashes distinguish series without colour.
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "x", "star", "pentagon")
@@ -44,11 +46,11 @@ class Curve(NamedTuple):
     title: str  # heading of the curve
     figure: str  # JSON for Plotly
     caption: str  # one or more sentences
-    picture: str = ""  # name of the picture of figures/ that it replaces; "" for none
+    picture: str = ""  # name of the picture of the results folder figures/ that it replaces; "" for none
 
 
 def draw_curves(files: Mapping[str, xr.Dataset]) -> list[Curve]:
-    """Return every curve for which there are results, in the order of the page."""
+    """Return every curve for which there are results, except that of the levels, in the order of the page."""
     curves = [
         _draw_widths(files),
         *_draw_metrics(files),
@@ -60,14 +62,25 @@ def draw_curves(files: Mapping[str, xr.Dataset]) -> list[Curve]:
 
 
 def _make_axis(title: str, **attributes: Any) -> dict[str, Any]:
-    """Return a Plotly axis with further attributes, and a title without the dollar signs of matplotlib."""
+    """Return a Plotly axis with a title and further attributes; dollar signs of Matplotlib are removed."""
     return {"title": {"text": title.replace("$", "")}, **attributes}
 
 
 def _make_points(name: str, x: Any, y: Any, error: Any = None, source: str = "measured", **attributes: Any) -> Trace:
-    """Return a trace of points in the colour of a source, a key of `COLOURS`.
+    """Return a trace of points.
 
-    `x`, `y` and `error` are of equal length; without errors there are no error bars. `attributes` are those of Plotly.
+    Parameters
+    ----------
+    name : str
+        Name in the legend.
+    x, y : array_like
+        Coordinates [point].
+    error : array_like, optional
+        Standard error of `y` [point]; by default there are no error bars.
+    source : str
+        Key of `COLOURS`.
+    **attributes
+        Attributes of a Plotly trace; those of `marker` are merged with the colour.
     """
     bars = {} if error is None else {"error_y": {"type": "data", "array": np.asarray(error), "thickness": 1}}
     colour = COLOURS[source]
@@ -77,21 +90,25 @@ def _make_points(name: str, x: Any, y: Any, error: Any = None, source: str = "me
 
 
 def _make_line(name: str, x: Any, y: Any, colour: str = "var(--ink)", dash: str = "solid") -> Trace:
-    """Return a trace of a line; `colour` is one of CSS, `dash` one of Plotly."""
+    """Return a trace of a line with coordinates `x` and `y` [point].
+
+    `name` is shown in the legend; `colour` is a colour of CSS, `dash` a dash style of Plotly.
+    """
     trace = {"type": "scatter", "mode": "lines", "name": name, "x": np.asarray(x), "y": np.asarray(y)}
     return trace | {"line": {"color": colour, "dash": dash, "width": 1.5}}
 
 
 def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the fitted widths over exposure, with the law of p1 and p2; None below two exposures."""
+    """Return the fitted widths over exposure and the line p1 ln t + p2; None if there are fewer than two exposures."""
     if "fits" not in files or "exposure" not in files["fits"].coords or files["fits"].sizes["exposure"] < 2:
         return None
     fits = select_preferred_fits(files["fits"])
     times, unit, label = series.axis_values(fits, "exposure")
     dims = tuple(str(dim) for dim in fits["sigma_mean"].dims)
-    abscissa_elsewhere = series.choose_axes(fits, dims).abscissa
-    # One series for each value of the dimension on the abscissa of other figures, such as the angle.
-    dim = abscissa_elsewhere if abscissa_elsewhere != "exposure" else None
+    # Here the exposure is the abscissa. The dimension that is the abscissa of other figures, such as the angle, has one
+    # series for each value instead.
+    usual_abscissa = series.choose_axes(fits, dims).abscissa
+    dim = usual_abscissa if usual_abscissa != "exposure" else None
     data = []
     for k in range(fits.sizes[dim] if dim else 1):
         selected_fits = fits.isel({dim: k}) if dim else fits
@@ -111,18 +128,21 @@ def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
         used = calibration.sel(estimator=calibration.attrs["used"])
         p1, p2 = float(used["p1_mean"]), float(used["p2_mean"])
         if np.isfinite([p1, p2]).all():
-            # Displayed units of time per second.
-            per_second = times[0] / float(fits["exposure"][0])
+            # Displayed time for 1 s: 1000 if times are displayed in ms.
+            units_per_second = times[0] / float(fits["exposure"][0])
             x = np.geomspace(times[0], times[-1], LINE_POINTS)
-            law = beam_propagation(x / per_second, p1, p2) + float(calibration["laser_width"])
-            data.append(_make_line("p1 ln t + p2", x, law))
+            widths_px = beam_propagation(x / units_per_second, p1, p2) + float(calibration["laser_width"])
+            data.append(_make_line("p1 ln t + p2", x, widths_px))
             caption += f" The line is the law with p1 = {p1:.3f} px and p2 = {p2:.2f} px, which the simulation uses."
     layout = {"xaxis": _make_axis(label), "yaxis": _make_axis("width σ̄ / px")}
     return Curve("curve-width", "Width over exposure", figure_json(data, layout), caption)
 
 
 def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
-    """Return a curve for each metric of the crops of all sources: mean and standard deviation over frames."""
+    """Return a curve for each metric of single frames: its mean and standard deviation over frames, by source.
+
+    Metrics without a value for any frame are omitted.
+    """
     if "metrics" not in files:
         return []
     ds, extended = files["metrics"].sel(centring="light"), files.get("extended_metrics")
@@ -149,9 +169,20 @@ def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
 def _draw_metric(
     ds: xr.Dataset, axes: series.PlotAxes, points: Mapping[str, series.LineStatistics], title: str, unit: str
 ) -> str:
-    """Return a figure with a line for each source and each value of the dimension `axes.lines`, as JSON for Plotly.
+    """Return the figure of a metric as JSON for Plotly: a line for each source and each value of `axes.lines`.
 
-    `points` are the statistics of the metric by source; `title` is that of the ordinate, whose unit is "" for a ratio.
+    Parameters
+    ----------
+    ds : Dataset
+        Content of metrics.nc, which has the coordinates of the grid.
+    axes : PlotAxes
+        Role of each dimension of the grid.
+    points : mapping of str to LineStatistics
+        Statistics of the metric by source, a key of `COLOURS`.
+    title : str
+        Title of the ordinate.
+    unit : str
+        Unit of the metric; "" for a pure number.
     """
     x, _, label = series.axis_values(ds, axes.abscissa)
     data = []
@@ -171,23 +202,23 @@ def _draw_metric(
 
 
 def _draw_precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the Cramér–Rao bound on the width of one frame over exposure, with the scatter over repeats.
+    """Return the Cramér–Rao bound on the width of one frame over exposure, and the scatter of widths over repeats.
 
-    Returns None without precision.nc, or if it has no bound over exposure.
+    precision.nc has the bound on a fine grid of exposures. Returns None without this file or the bound.
     """
     ds = files.get("precision")
     if ds is None or "fine_exposure" not in ds:
         return None
     times, unit, _ = series.axis_values(ds, "fine_exposure")
-    # Displayed units of time per second.
-    per_second = times[0] / float(ds["fine_exposure"][0])
+    # Displayed time for 1 s: 1000 if times are displayed in ms.
+    units_per_second = times[0] / float(ds["fine_exposure"][0])
     data = [_make_line("bound of one frame", times, ds["sigma_bound_over_fine_exposure"].values)]
     for source, symbol in (("measured", "circle"), ("simulated", "diamond-open")):
         scatter = ds[f"scatter_{source}"].sel(parameter="sigma_mean")
         if "exposure" in scatter.coords and np.isfinite(scatter).any():
             # All conditions of an exposure in one row: [exposure, condition] in px.
             values = scatter.transpose("exposure", ...).values.reshape(scatter.sizes["exposure"], -1)
-            x = np.repeat(scatter["exposure"].values * per_second, values.shape[1])
+            x = np.repeat(scatter["exposure"].values * units_per_second, values.shape[1])
             attributes = {
                 "marker": {"symbol": symbol},
                 "hovertemplate": f"{source}: %{{y:.3~g}} px at %{{x:.4~g}} {unit}<extra></extra>",
@@ -202,7 +233,10 @@ def _draw_precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
 
 
 def _draw_bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the Cramér–Rao bound on the width over photons, for each distribution of readings; None if unknown."""
+    """Return the Cramér–Rao bound on the width over the number of photons, for each distribution of readings.
+
+    Returns None without bounds.nc or these bounds.
+    """
     ds = files.get("bounds")
     if ds is None or "var_sigma_over_photons" not in ds:
         return None
@@ -222,9 +256,10 @@ def _draw_bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:
 
 
 def _draw_condition_gaps(files: Mapping[str, xr.Dataset]) -> Curve | None:
-    """Return the gap of each condition, before and after the effects of the verdict were added to the model.
+    """Return the misfit of each condition before and after the effects of the verdict were added to the model.
 
-    The gap is the rms of block residuals over their noise [1]. Returns None if it was not measured.
+    discrepancy.nc has the gap of each condition, which is the mean square of block residuals over that of their noise
+    [1]. The curve shows its square root. Returns None if the gap was not measured.
     """
     ds = files.get("discrepancy")
     if ds is None or "gap_before" not in ds:
@@ -233,11 +268,12 @@ def _draw_condition_gaps(files: Mapping[str, xr.Dataset]) -> Curve | None:
     indices = np.ndindex(*(ds.sizes[dim] for dim in dims))
     names = [series.condition_text(ds, dict(zip(dims, index, strict=True))) for index in indices]
     data = []
-    for stage, source, symbol in (("before", "simulated", "circle-open"), ("after", "measured", "circle")):
-        if f"gap_{stage}" in ds:
-            rms = np.sqrt(ds[f"gap_{stage}"].values.ravel())
-            hover = f"{stage}: %{{y:.4~g}} at %{{x}}<extra></extra>"
-            data.append(_make_points(stage, names, rms, None, source, marker={"symbol": symbol}, hovertemplate=hover))
+    # The sources give the colours only.
+    for name, source, symbol in (("before", "simulated", "circle-open"), ("after", "measured", "circle")):
+        if f"gap_{name}" in ds:
+            rms = np.sqrt(ds[f"gap_{name}"].values.ravel())
+            hover = f"{name}: %{{y:.4~g}} at %{{x}}<extra></extra>"
+            data.append(_make_points(name, names, rms, None, source, marker={"symbol": symbol}, hovertemplate=hover))
     floor = np.full(len(names), float(ds["gap_floor"]) ** 0.5)
     data.append(_make_line("noise floor", names, floor, dash="dot"))
     caption = (
@@ -254,7 +290,9 @@ def _draw_condition_gaps(files: Mapping[str, xr.Dataset]) -> Curve | None:
 def draw_levels(transfer: xr.Dataset | None) -> Curve | None:
     """Return the variance and the nonlinearity of the levels of the flats over the signal.
 
-    Returns None if transfer.nc is missing or has no levels.
+    A level is a set of flats with equal light. `transfer` is the content of transfer.nc; its variables `signal` and
+    `excess` are mean [DN] and variance [DN²] of each level above those of the darks. Returns None if the file is
+    missing or has no levels.
     """
     if transfer is None or "signal" not in transfer:
         return None

@@ -1,8 +1,9 @@
 """Tables of the verdict: effects with their evidence, upper limits, and the data sheet against the frames.
 
-The verdict names the effects that the declared model of the frames lacks. The gap is the mean square of block residuals
-over that of their noise [1], on held-out frames. A cell is a part of the data in which the strength of an effect is
-fitted alone, to test its consistency.
+The verdict (verdict.json) names the effects that the declared model of the frames lacks. The gap is the mean square of
+block residuals over that of their noise [1], on held-out frames. A cell is a part of the data. The strength of an
+effect is fitted to each cell alone, to test whether it is consistent. Marked text is HTML that shows the source of a
+number on hover. Errors are standard errors.
 """
 
 from collections.abc import Mapping
@@ -21,7 +22,12 @@ Row = dict[str, Any]  # row of a table of evidence.html or sheet.html
 
 
 def tabulate_evidence(verdict: dict[str, Any], citations: Citations) -> dict[str, Any]:
-    """Return the variable `evidence` of evidence.html: the verdict, and its numbers as marked text.
+    """Return the variable `evidence` of evidence.html.
+
+    It has the verdict itself (`verdict`), and its sentences and numbers as marked text: `sentence` (lines), `effects`
+    and `limits` (rows), `gap` (before, after and noise floor), `closed` (share of the gap), `shifts` (rows of
+    `_tabulate_shifts`), `places` (words and z of each place of a large residual) and `advice` (entry of the verdict and
+    its condition in words).
 
     Parameters
     ----------
@@ -33,8 +39,9 @@ def tabulate_evidence(verdict: dict[str, Any], citations: Citations) -> dict[str
     # The learned light shape may be in a verdict even if a run excludes it from its vocabulary.
     known_effects = {**built_in(), **vocabulary()}
     gap, keys = verdict["gap"], number_keys(verdict)
-    # The key of a place has its index in the verdict.
+    # (index in the verdict, place): the source of a place's number is found by the index.
     strongest_first = sorted(enumerate(verdict["where"]), key=lambda item: -abs(item[1]["z"]))
+    # Effects without a limit come last.
     limited_first = sorted(verdict["limits"], key=lambda limit: not limit["words"])
     return {
         "verdict": verdict,
@@ -56,7 +63,10 @@ def tabulate_evidence(verdict: dict[str, Any], citations: Citations) -> dict[str
 
 
 def _effect_row(entry: Mapping[str, Any], effect: Effect, citations: Citations) -> Row:
-    """Return the row of an effect that the verdict names; `entry` is its entry in `effects` of verdict.json."""
+    """Return the row of an effect that the verdict names; `entry` is its entry in `effects` of verdict.json.
+
+    The evidence is `gain`, the drop of −2 ln L by the effect, and `z`, its strength over the standard error.
+    """
     key, evidence = f"verdict.effects.{entry['name']}", entry["evidence"]
     return {
         "name": entry["name"],
@@ -84,9 +94,9 @@ def _share_text(share: float | None) -> str:
 
 
 def _tabulate_shifts(verdict: Mapping[str, Any], citations: Citations) -> list[tuple[str, str, str]]:
-    """Return (name, text before, text after) of p1 and p2, as fitted without and with the added effects.
+    """Return (name, value before, value after) of p1 and p2, fitted without and with the added effects, as marked text.
 
-    p1 and p2 are the slope and offset of the spot's width over the logarithm of the exposure. Unknown ones are omitted.
+    The width of the spot at the exposure t is p1 ln t + p2 [px]. Unknown parameters are omitted.
     """
     rows: list[tuple[str, str, str]] = []
     for name, shift in verdict["baseline_shift"].items():
@@ -103,9 +113,11 @@ def _tabulate_shifts(verdict: Mapping[str, Any], citations: Citations) -> list[t
 def _limit_row(limit: Mapping[str, Any], effect: Effect | None, citations: Citations) -> Row:
     """Return the row of an effect that the verdict does not name, with the 95 % limit on its strength.
 
-    `limit` is its entry in `limits` of verdict.json; `effect` is None if this run does not know the effect.
+    `limit` is its entry in `limits` of verdict.json. Its `words` are the limit as text, `frames` is the number of
+    further frames that would halve it, `why` and `more` are remarks. `effect` is None if the run does not know it.
     """
     key = f"verdict.limits.{limit['effect']}.{limit['parameter']}"
+    # Known ends of the interval of strengths that the frames allow.
     ends = [end for end in ("low", "high") if limit[end] is not None]
     keys = {limit_text(limit[end], limit["unit"], effect): f"{key}.{end}" for end in ends}
     return {
@@ -118,9 +130,11 @@ def _limit_row(limit: Mapping[str, Any], effect: Effect | None, citations: Citat
 
 
 def tabulate_data_sheet(verdict: dict[str, Any] | None, citations: Citations) -> dict[str, Any] | None:
-    """Return the variable `sheet` of sheet.html: stated numbers beside those of a fit to data sheet and frames.
+    """Return the variable `sheet` of sheet.html: numbers of the data sheet beside the same numbers as fitted.
 
-    Returns None without a verdict, or if no stated number was fitted. A shift is (fitted − stated) / stated error.
+    The fit combines data sheet and frames. Each row has name, stated and fitted value, shift, and whether the frames
+    contradict the data sheet. The shift is (fitted − stated) / standard error of the stated value. Returns None without
+    a verdict, or if no number of the data sheet was fitted.
     """
     if not verdict or not verdict["sheet"]:
         return None

@@ -1,9 +1,10 @@
-"""Images of frames as text on the page: 16-bit integers, deflated, in base64. frames.js unpacks a frame to show it.
+"""Images of frames as text on the page: 16-bit integers, compressed by DEFLATE, in base64.
 
-A layer is one image of a frame: the measured one, or the mean image of a model. Measured readings are stored as they
-are. The mean image of a model is smooth, and is stored as second differences along its rows, which deflates better. Low
-and high bytes are stored separately for the same reason. Integers are differenced and added modulo 2¹⁶, which loses
-nothing.
+The script frames.js unpacks a frame to show it. A layer is one image of a frame: the measured one, or the mean image
+of a model. Readings are rounded to multiples of a step [DN] and stored as the number of steps. The mean image of a
+model is smooth; it is stored as second differences along its rows, which are compressed better. Low and high bytes are
+stored separately for the same reason. Differences and sums are taken modulo 2¹⁶, so that the integers are restored
+exactly.
 """
 
 import base64
@@ -17,11 +18,11 @@ import numpy as np
 # Integer of a pixel that was not measured; also the largest integer.
 MISSING = 65_535
 # Smallest step of mean images [DN]: the rounding error, step/√12, is far below the noise of any converter.
-FINEST_DN = 0.25
+SMALLEST_STEP_DN = 0.25
 COMPRESSION_LEVEL = 9  # the smallest output of zlib
-# Size of a page [byte]: 15 MB up to 96 frames, rising linearly to 40 MB for 1,000.
-FEW_FRAMES, SMALL_PAGE, BYTES_PER_FRAME, LARGE_PAGE = 96, 15_000_000, 27_650, 40_000_000
-# Part of that size for everything but the frames [byte]: 4.8 MB of Plotly, pictures and tables.
+# Largest size of a page [byte]: 15 MB up to 96 frames, then rising linearly to 40 MB for 1,000 frames or more.
+FEW_FRAMES, SMALL_PAGE_BYTES, BYTES_PER_FRAME, LARGE_PAGE_BYTES = 96, 15_000_000, 27_650, 40_000_000
+# Part of that size for everything but the frames [byte]: Plotly (4.8 MB), pictures and tables.
 RESERVED_BYTES = 8_000_000
 
 
@@ -29,19 +30,23 @@ class Layer(NamedTuple):
     """An image of a frame: the measured one or that of a model."""
 
     readings: np.ndarray  # [row, column] in DN; NaN where not measured
-    step: float  # reading of the integer 1 [DN]
+    step: float  # multiple of DN to which readings are rounded [DN]
     is_smooth: bool  # whether it is stored as second differences along its rows
-    base: str = ""  # name of the layer of the same step that is subtracted first; "" for none
+    base: str = ""  # name of a similar layer with the same step that is subtracted before storing; "" for none
 
 
 def choose_step(full_scale: float) -> float:
-    """Return the step of mean images [DN], a power of two; `full_scale` is the largest reading [DN]."""
-    return max(FINEST_DN, float(2.0 ** np.ceil(np.log2((full_scale + 1) / (MISSING + 1)))))
+    """Return the step of mean images [DN]: the smallest power of two with which all readings fit into 16 bits.
+
+    `full_scale` is the largest reading [DN]. The step is at least `SMALLEST_STEP_DN`.
+    """
+    return max(SMALLEST_STEP_DN, float(2.0 ** np.ceil(np.log2((full_scale + 1) / (MISSING + 1)))))
 
 
 def frames_budget(count: int) -> int:
-    """Return the largest size of all packed frames of a page together [byte], for a number of frames."""
-    return min(SMALL_PAGE + BYTES_PER_FRAME * max(count - FEW_FRAMES, 0), LARGE_PAGE) - RESERVED_BYTES
+    """Return the largest total size of the packed frames of a page [byte]; `count` is the number of frames."""
+    page_bytes = min(SMALL_PAGE_BYTES + BYTES_PER_FRAME * max(count - FEW_FRAMES, 0), LARGE_PAGE_BYTES)
+    return page_bytes - RESERVED_BYTES
 
 
 def choose_block(frame_size: Callable[[int], float], count: int) -> int:
@@ -67,9 +72,12 @@ def block_means(image: np.ndarray, block: int) -> np.ndarray:
 
 
 def pack_layers(layers: Mapping[str, Layer]) -> str:
-    """Return the layers of one frame, given by name, as base64 text.
+    """Return the layers of one frame as base64 text, one after another in the order of `layers`.
 
-    The layers follow each other in the order of the mapping, which must include the `base` of each layer.
+    Parameters
+    ----------
+    layers : mapping of str to Layer
+        Layers by name, of equal size. The mapping must include the `base` of each layer.
     """
     integers = {name: _round_readings(layer.readings, layer.step) for name, layer in layers.items()}
     chunks = []
@@ -85,9 +93,9 @@ def pack_layers(layers: Mapping[str, Layer]) -> str:
 
 
 def _round_readings(readings: np.ndarray, step: float) -> np.ndarray:
-    """Return readings [DN] in units of a step [DN], as 16-bit integers; `MISSING` for NaN."""
+    """Return readings [row, column] in DN as 16-bit multiples of a step [DN]; `MISSING` for NaN."""
     is_missing = np.isnan(readings)
-    # If readings are missing, no other reading may become the integer `MISSING`.
+    # If a reading is missing, no other reading may become the integer `MISSING`.
     highest = MISSING - is_missing.any()
     integers = np.clip(np.rint(np.where(is_missing, 0.0, readings) / step), 0, highest).astype(np.uint16)
     integers[is_missing] = MISSING

@@ -1,8 +1,10 @@
 """Remarks on a frame in words: flags of its fit, its deviation from the other frames, and its largest residual.
 
 The law is the model of brightness and width of the spot over exposure that all frames share. A site is a place on the
-sample; its frames share the centre of the spot. views.nc stores by how much each frame is `brighter` and `wider` than
-the law [1], and by how much its spot is to the `right` of the site's centre and `down` from it [px].
+sample; its frames share the centre of the spot. views.nc has four deviations of each frame with standard errors:
+`brighter` and `wider`, the relative deviations of brightness and width from the law [1], and `right` and `down`, the
+distance of the spot's centre from that of its site [px]. The grid of frames has the dimensions angle, exposure, repeat
+and declared conditions.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,36 +18,36 @@ from spotcheck.io import store
 from spotcheck.io.number_text import two_digits
 from spotcheck.report.dataset_page.frame_packing import block_means
 
-# A deviation is reported if it exceeds both this size [1 or px] and this number of standard errors. A smaller size has
-# no practical consequence; noise alone exceeds the number of errors in less than one of 1,000 frames.
+# A deviation is reported if it exceeds both LEAST_DEVIATION [1 or px] and LEAST_ERRORS standard errors. Smaller
+# deviations have no practical consequence. Noise alone exceeds LEAST_ERRORS in less than one of 1,000 frames.
 LEAST_DEVIATION = {"brighter": 0.02, "wider": 0.01, "right": 0.25, "down": 0.25}
 LEAST_ERRORS = 5.0
-# Words for a positive and a negative deviation from the law, by the names of the relative deviations.
+# Words for a positive and a negative deviation from the law, by the name of the deviation.
 OPPOSITES = {"brighter": ("brighter", "fainter"), "wider": ("wider", "narrower")}
-# Number of blocks along the side of a crop among which the largest residual is searched.
+# The largest residual is searched among blocks of pixels, of which so many lie along the side of a crop.
 BLOCKS = 24
-# A block nearer to the centre of the spot than so many sides of a block is "at the centre".
+# A block is "at the centre" if it is nearer to the centre of the spot than so many times the side of a block.
 CENTRE_BLOCKS = 1.5
 # The residual of a block is reported above this number of standard deviations of its noise.
 LEAST_SIGMAS = 6.0
-# Flags that are described with numbers or reasons of the frame.
+# Flags whose texts include numbers or reasons of the frame.
 DETAILED_FLAGS = store.flag("clipped") | store.flag("left_out")
 
 
 class Deviation(NamedTuple):
     """Deviation of a frame from the law of all frames or from its site."""
 
-    value: float  # relative to brightness or width of the law [1], 0 if equal; or to the centre of the site [px]
-    stderr: float  # standard error [unit of the value]
+    value: float  # relative deviation from the law [1], 0 if equal; or distance from the centre of the site [px]
+    stderr: float  # standard error, in the unit of the value
 
 
 def describe_flags(status: int, left_out: str, at_full_scale: int) -> list[str]:
-    """Return the meanings of the flags of a fit.
+    """Return the meaning of each flag of a fit in words.
 
     Parameters
     ----------
     status : int
-        Sum of flags, which are keys of `store.STATUS`.
+        Flags of the fit, a sum of keys of `store.STATUS`.
     left_out : str
         Pixels that were left out of the fit, in words; "" if unknown.
     at_full_scale : int
@@ -108,16 +110,17 @@ def describe_residual(residual: np.ndarray, variance: np.ndarray, centre: Sequen
     largest = float(means[row, column])
     if not abs(largest) >= LEAST_SIGMAS * float(noise[row, column]):
         return ""
-    # From the centre of the spot to the centre of the block, whose first pixel has the coordinate block · index.
+    # Distance from the centre of the spot to the centre of the block. The first pixel of a block is at block · k.
     right, down = (block * (k + 0.5) - 0.5 - middle for k, middle in zip((column, row), centre, strict=True))
     sign = "+" if largest > 0 else "−"
     return f"largest residual {_describe_place(right, down, block)}: {sign}{two_digits(abs(largest))} DN"
 
 
 def _describe_place(right: float, down: float, block: int) -> str:
-    """Return the place of a block in words; `right` and `down` [px] are from the spot's centre, `block` is its side.
+    """Return the place of a block in words: "12 px to the right and 5 px above the centre".
 
-    Distances below the size of the block are not resolved: they are "at the centre", or are not mentioned.
+    `right` and `down` are the distances of the block from the spot's centre [px], `block` is its side [px]. Distances
+    below half a side are not mentioned.
     """
     if np.hypot(right, down) <= CENTRE_BLOCKS * block:
         return "at the centre"
@@ -127,10 +130,10 @@ def _describe_place(right: float, down: float, block: int) -> str:
 
 
 def compute_median_factors(views: xr.Dataset) -> dict[str, float]:
-    """Return the ratios of the median frame's brightness and width to the law, by "brighter" and "wider".
+    """Return the ratio of the median frame to the law, in brightness ("brighter") and in width ("wider").
 
-    Frames are compared with the median frame, so that an error of the law itself is not attributed to single frames. A
-    ratio is omitted if it is unknown for all frames.
+    `views` is the content of views.nc. Frames are compared with the median frame, so that an error of the law itself is
+    not attributed to single frames. A ratio is omitted if it is unknown for all frames.
     """
     deviations = {name: views[name].values for name in OPPOSITES if name in views}
     return {name: 1.0 + float(np.nanmedian(values)) for name, values in deviations.items() if np.isfinite(values).any()}
@@ -139,7 +142,9 @@ def compute_median_factors(views: xr.Dataset) -> dict[str, float]:
 def read_deviations(
     views: xr.Dataset, place: dict[str, int], median_factors: Mapping[str, float]
 ) -> dict[str, Deviation]:
-    """Return the known deviations of a frame; those of brightness and width are relative to the median frame.
+    """Return the known deviations of a frame by their names in `LEAST_DEVIATION`.
+
+    Brightness and width are relative to the median frame.
 
     Parameters
     ----------

@@ -254,7 +254,9 @@ async function drawViewer() {
 /** Returns texts and marked numbers about a frame: its residuals by the models that are drawn, and remarks. */
 function describeFrame(frame, models, readings) {
   const residualOf = (name) => {
-    if (frame.left[name] != null) return markNumber(frame.left[name], `views.${name}_left[frame=${frame.file}]`);
+    if (frame.over_noise[name] != null) {
+      return markNumber(frame.over_noise[name], `views.${name}_left[frame=${frame.file}]`);
+    }
     const rms = INDEX.noise[1] === null ? null : rootMeanSquare(subtract(readings.measured, readings[name], true));
     return rms === null ? null : noiseText(rms);
   };

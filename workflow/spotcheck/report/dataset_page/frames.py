@@ -1,10 +1,10 @@
-"""The frames of the report: packed images with the data of the viewer's controls, and the table of frames.
+"""The frames of the report: packed images, the data of the script frames.js that shows them, and the table of frames.
 
-Models predict the mean image of a frame: the declared model, the extended model with the effects that the verdict adds,
-and the simulation by p1 and p2, the law of the spot's width over exposure. A layer is one image of a frame on the page:
-the measured one, or that of a model. The residual is measured minus model; `left` is its rms over the noise [1], `rms`
-is its rms [DN]. Images may be reduced to means of blocks of pixels; `block` is the side of a block [px], 1 without
-reduction. `full_scale` is the largest reading of the sensor [DN]. frames.js draws the frames.
+Three models predict the mean image of a frame: the declared model, the extended model with the effects that the verdict
+adds, and the simulation, in which p1 and p2 give the width of the spot at an exposure. A layer is one image of a frame
+on the page: the measured one, or that of a model. The residual is measured minus model. `rms` is its root mean square
+[DN], `over_noise` the same divided by that of the noise [1]. Images may be reduced to means of blocks of pixels;
+`block` is the side of a block [px], 1 without reduction. `full_scale` is the largest reading of the sensor [DN].
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,12 +42,13 @@ NAMES = {
     "extended": "extended model",
     "simulated": "simulation by p1 and p2",
 }
-# Prefix of the layers of the extended model without one effect; frames.js has the same text.
+# Prefix of the name of a layer of the extended model without one effect; frames.js has the same text.
 WITHOUT = "without "
+# Text of a frame without remarks in the table of frames.
 NO_REMARK = "no remark"
 # Frames are ranked by their residual from the first of these models that exists.
 RANKING_MODELS = ("extended", "declared", "simulated")
-# Order of the models in the picture of the first screen.
+# Models that the picture at the top of the page may show, in this order.
 PICTURE_MODELS = ("declared", "extended", "simulated")
 
 Place = dict[str, int]  # index of a frame by dimension of the grid (angle, exposure, repeat, …)
@@ -57,10 +58,10 @@ Images = dict[str, np.ndarray]  # images of a frame [row, column] in DN by layer
 class FrameFiles(NamedTuple):
     """Results about the spot frames."""
 
-    frames: xr.Dataset  # frames.nc
-    crops: xr.Dataset  # crops.nc
-    fits: xr.Dataset  # fits.nc
-    views: xr.Dataset  # views.nc: images of the models
+    frames: xr.Dataset  # frames.nc: a row for each frame
+    crops: xr.Dataset  # crops.nc: measured images of the spots
+    fits: xr.Dataset  # fits.nc: fitted spots
+    views: xr.Dataset  # views.nc: images of the models, and residuals
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,14 @@ class FrameSection:
 
     index: dict[str, Any]  # data of frames.js, as `_build_viewer_index` returns them
     packed: list[str]  # images of each frame, as `pack_layers` returns them
-    rows: list[dict[str, Any]]  # rows of the table, the largest residual first
-    ranked_by: str  # model from which the residuals that order the rows are
-    ranked_in: str  # residual that orders the rows: "left" over the noise, or "rms" in DN if the noise is unknown
-    remark: str  # sentence on the reduction of images to means of blocks; "" if there is none
+    rows: list[dict[str, Any]]  # rows of the table, as `_tabulate_frame` returns them, the largest residual first
+    ranked_by: str  # model whose residuals order the rows
+    ranked_in: str  # key of the residual that orders the rows: "over_noise", or "rms" if the noise is unknown
+    remark: str  # sentence on the reduction of images to means of blocks; "" if they are not reduced
 
 
 def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
-    """Return the images of all spot frames, reduced in size if they would make the page too large."""
+    """Return the section of all spot frames; their images are reduced if they would make the page too large."""
     cells, dims = list(dataset.cells()), store.grid_dims(files.crops)
     places: list[Place] = [dict(zip(dims, index, strict=True)) for index, _ in cells]
     full_scale = float(files.frames["full_scale"])
@@ -95,20 +96,23 @@ def collect_frames(dataset: Dataset, files: FrameFiles) -> FrameSection:
         frames.append(frame_data | {"remarks": remarks})
         rows.append(_tabulate_frame(frame_data, remarks, len(rows), int(record["maximum"])))
     index = _build_viewer_index(files, dims, frames, block, full_scale)
-    ranked_in = "rms" if all(row["left"] is None for row in rows) else "left"
-    # Frames without a residual, which no model could use, come last.
+    ranked_in = "rms" if all(row["over_noise"] is None for row in rows) else "over_noise"
+    # Frames that no model covers have no residual and come last.
     rows.sort(key=lambda row: -np.inf if row[ranked_in] is None else row[ranked_in], reverse=True)
     remark = f"Images are reduced to means of {block} × {block} px, to limit the size of the page." if block > 1 else ""
     return FrameSection(index, packed, rows, _ranking_model(files), ranked_in, remark)
 
 
 def _estimate_block(files: FrameFiles, places: Sequence[Place], full_scale: float) -> int:
-    """Return the side of the blocks [px] with which all frames fit on the page, estimated from a sample of frames."""
+    """Return the smallest side of blocks [px] with which all frames fit on the page, estimated from a sample of them.
+
+    `places` are the indices of all frames.
+    """
     sample_indices = np.unique(np.linspace(0, len(places) - 1, SAMPLE_FRAMES).astype(int))
     sample = [_read_images(files, places[k]) for k in sample_indices]
 
     def mean_size(block: int) -> float:
-        """Return the mean size of a packed frame [byte] with blocks of a side [px]."""
+        """Return the mean size of a packed frame [byte]; `block` is the side of its blocks [px]."""
         return float(np.mean([len(pack_layers(_make_layers(images, full_scale, block))) for images in sample]))
 
     return choose_block(mean_size, len(places))
@@ -149,8 +153,10 @@ def _layer_step(name: str, full_scale: float, block: int) -> float:
 def _describe_frame(files: FrameFiles, place: Place, frame: Frame, layers: Mapping[str, Layer]) -> dict[str, Any]:
     """Return the data of a frame for frames.js.
 
-    `corner` is the crop's first column and row [px of the sensor]. `spot` is the fitted centre (x, y) and `sigma` the
-    fitted width [px of the crop]. `rms` and `left` are residuals by model.
+    `at` is its index in each dimension of the grid, `label` its conditions in words, `file` its file and `layers` the
+    names of its layers. `has_gaps` says whether pixels were not measured. `corner` is the first column and row of the
+    crop [px of the sensor]. `spot` is the fitted centre (x, y) [px of the crop] and `sigma` the fitted width [px].
+    `rms` and `over_noise` are the residuals by model.
     """
     crop, fit = files.crops.sel(centring="light").isel(place), select_preferred_fits(files.fits).isel(place)
     left, top = int(crop["left"]), int(crop["top"])
@@ -169,7 +175,7 @@ def _describe_frame(files: FrameFiles, place: Place, frame: Frame, layers: Mappi
         "spot": [round(float(coordinate), 3) for coordinate in centre],
         "sigma": round(float(fit["sigma_mean"]), 3) if np.isfinite(fit["sigma_mean"]) else None,
         "rms": {name: _rounded(files.views[f"{name}_rms"].isel(place)) for name in models},
-        "left": {name: _rounded(files.views[f"{name}_left"].isel(place)) for name in models},
+        "over_noise": {name: _rounded(files.views[f"{name}_left"].isel(place)) for name in models},
     }
 
 
@@ -189,8 +195,20 @@ def _list_remarks(
 ) -> list[str]:
     """Return remarks on a frame: flags, deviations from the other frames, and the largest residual.
 
-    `record` is its row of frames.nc, `centre` that of its spot (x, y) [px of the crop]. `median_factors` are as
-    `compute_median_factors` returns them.
+    Parameters
+    ----------
+    files : FrameFiles
+        Results about the frames.
+    place : dict of str to int
+        Index of the frame by dimension.
+    record : Dataset
+        Row of frames.nc about the frame.
+    images : dict of str to ndarray
+        Images of the frame by layer, as `_read_images` returns them.
+    centre : sequence of float
+        Centre of its spot (x, y) [px of the crop].
+    median_factors : mapping of str to float
+        As `compute_median_factors` returns them.
     """
     fit, views = select_preferred_fits(files.fits).isel(place), files.views
     # Pixels that the fit left out, in words.
@@ -199,6 +217,7 @@ def _list_remarks(
     remarks += describe_deviations(read_deviations(views, place, median_factors))
     model = next((name for name in RANKING_MODELS if name in images), None)
     if model is not None and "measured" in images:
+        # Variance of readings [DN²] over their mean [DN].
         noise = NoiseLine(float(views["noise_at_zero"]), float(views["noise_slope"]))
         residual = images["measured"] - images[model]
         remarks.append(describe_residual(residual, noise.variance(images[model]), centre))
@@ -208,18 +227,18 @@ def _list_remarks(
 def _tabulate_frame(frame_data: Mapping[str, Any], remarks: str, number: int, maximum: int) -> dict[str, Any]:
     """Return a row of the table of frames, from the data that `_describe_frame` returns.
 
-    `number` is the index of the frame in frames.js, `maximum` its highest reading [DN]. The residuals are `left` [1]
-    and `rms` [DN] of the first of `RANKING_MODELS` that has one (`model`), and `before` [1] of the declared model.
-    They are None if unknown.
+    `number` is the index of the frame in frames.js, `maximum` its highest reading [DN]. `over_noise` [1] and `rms` [DN]
+    are residuals from `model`, the first of `RANKING_MODELS` that covers the frame. `before` [1] is the residual over
+    the noise from the declared model. Unknown residuals are None.
     """
-    left, rms = frame_data["left"], frame_data["rms"]
+    over_noise, rms = frame_data["over_noise"], frame_data["rms"]
     # A frame that the extended model does not cover shows the residual of the next model.
     model = next((name for name in RANKING_MODELS if rms.get(name) is not None), None)
-    residuals = {"left": left.get(model), "before": left.get("declared"), "rms": rms.get(model)}
+    residuals = {"over_noise": over_noise.get(model), "before": over_noise.get("declared"), "rms": rms.get(model)}
     return {
         **residuals,
         "model": model,
-        "left_text": over_noise_text(residuals["left"]),
+        "over_noise_text": over_noise_text(residuals["over_noise"]),
         "before_text": over_noise_text(residuals["before"]),
         "rms_text": number_text(residuals["rms"]),
         "number": number,
@@ -233,11 +252,13 @@ def _tabulate_frame(frame_data: Mapping[str, Any], remarks: str, number: int, ma
 def _build_viewer_index(
     files: FrameFiles, dims: Sequence[str], frames: list[dict[str, Any]], block: int, full_scale: float
 ) -> dict[str, Any]:
-    """Return the data of frames.js: the grid, the layers, the noise, and the `frames` of `_describe_frame`.
+    """Return the data of frames.js: the grid, the layers, the noise, and the frames.
 
-    `dims` are the dimensions of the grid. `noise` is the variance of a reading of 0 DN [DN²] and its rise for each DN
-    of mean [DN]; None if unknown.
+    `dims` are the dimensions of the grid; `frames` are the data of all frames, as `_describe_frame` returns them. In
+    the result `side` is the side of the packed images [block], `steps` are the steps of the layers [DN], and `noise` is
+    the variance of readings at the mean 0 DN [DN²] and its increase for each DN of mean [DN], None if unknown.
     """
+    # The names of the layers of all frames, without repetition.
     layers = list(dict.fromkeys(name for frame in frames for name in frame["layers"]))
     first = _choose_first(frames, _ranking_model(files))
     models = [name for name in PICTURE_MODELS if name in frames[first]["layers"]]
@@ -258,36 +279,37 @@ def _build_viewer_index(
         "noise": [_rounded(files.views["noise_at_zero"]), _rounded(files.views["noise_slope"])],
         "frames": frames,
         "first_frame": first,
-        # Before and after the effects were added, or the only model.
+        # The declared and the extended model, or the only one.
         "first_models": models[: 2 if "extended" in models else 1],
     }
 
 
 def _ranking_model(files: FrameFiles) -> str:
-    """Return the model from which the residuals that rank the frames are."""
+    """Return the name of the model whose residuals rank the frames."""
     return next(name for name in RANKING_MODELS if name in files.views)
 
 
 def _choose_first(frames: Sequence[Mapping[str, Any]], model: str) -> int:
-    """Return the index of the frame of the first screen.
+    """Return the index of the frame at the top of the page, from the data that `_describe_frame` returns.
 
-    It has the largest gain of the extended over the declared model, or else the largest residual from `model`.
+    If `model` is the extended model, it is the frame that this model improves most over the declared one. Otherwise it
+    is the frame with the largest residual from `model`.
     """
 
     def score(frame: Mapping[str, Any]) -> tuple[bool, float]:
-        """Return whether both models have the frame, and the gain in mean square [DN²] or the residual from `model`.
+        """Return (whether both models cover the frame, drop of the mean square residual [DN²] or residual).
 
-        The residual is over the noise [1], or in DN if the noise is unknown; 0 for a frame without one.
+        The residual is from `model`, over the noise [1], or in DN if the noise is unknown; it is 0 if unknown.
         """
         before, after = (frame["rms"].get(name) for name in ("declared", "extended"))
         if model == "extended" and before is not None and after is not None:
             return True, before**2 - after**2
-        return False, frame["left"].get(model) or frame["rms"].get(model) or 0.0
+        return False, frame["over_noise"].get(model) or frame["rms"].get(model) or 0.0
 
     return max(range(len(frames)), key=lambda k: score(frames[k]))
 
 
 def _rounded(value: xr.DataArray) -> float | None:
-    """Return a number with six digits; None if it is not finite."""
+    """Return a scalar rounded to six significant digits, which keeps the page small; None if it is not finite."""
     number = float(value)
     return float(f"{number:.6g}") if np.isfinite(number) else None

@@ -1,7 +1,8 @@
-"""The gap on held-out data before and after the added effects, as a bar with the noise floor.
+"""The gap on held-out data before and after effects were added to the model, as bars with a line at the noise floor.
 
-The gap is the mean square of block residuals over that of their noise [1]; the noise floor is its value for a complete
-model. The verdict may add effects to the declared model, which closes a part of the gap.
+The gap is the mean square of block residuals over that of their noise [1]. The noise floor is its value for a complete
+model. The verdict (verdict.json) may add effects or a learned light shape to the declared model, which closes a part of
+the gap.
 """
 
 from collections.abc import Mapping
@@ -10,7 +11,8 @@ from typing import Any, NamedTuple
 from spotcheck.discrepancy.words import over_noise_text, percent_text
 from spotcheck.report.pages.plots import figure_json
 
-# Name and colour (of page.css) of each number of the gap by its key in verdict.json: with added effects, and without.
+# (name, colour of page.css) of each number of the gap, by its key in verdict.json: for a verdict that adds effects to
+# the model, and for one that does not.
 FLOOR = {"noise_floor": ("noise floor", "ink")}
 WITH_EFFECTS = {"before": ("before", "simulated"), "after": ("after", "measured"), **FLOOR}
 WITHOUT_EFFECTS = {"before": ("residuals", "simulated"), **FLOOR}
@@ -28,9 +30,9 @@ class GapNumber(NamedTuple):
 class Gap(NamedTuple):
     """The gap for the page."""
 
-    figure: str  # the bar, as JSON for Plotly
-    numbers: list[GapNumber]  # the known ones of before, after and noise floor
-    closed: str  # share of the gap that is closed, in per cent; "" if none
+    figure: str  # the bars, as JSON for Plotly
+    numbers: list[GapNumber]  # gap before and after, and noise floor; unknown numbers are missing
+    closed: str  # share of the gap that the added effects close, in per cent; "" if they close none
     on: str  # the held-out data on which the gap was measured, in words
 
     @property
@@ -41,19 +43,21 @@ class Gap(NamedTuple):
 
 
 def plot_gap(verdict: dict[str, Any]) -> Gap | None:
-    """Return the gap of a verdict (content of verdict.json); None if it was not measured."""
+    """Return the gap for the page; None if it was not measured. `verdict` is the content of verdict.json."""
     gap = verdict["gap"]
     if gap["before"] is None:
         return None
     has_additions = adds_to_model(verdict)
-    looks = WITH_EFFECTS if has_additions else WITHOUT_EFFECTS
-    # Name and colour of the known numbers.
-    looks = {key: look for key, look in looks.items() if gap[key] is not None}
-    numbers = [GapNumber(*look, over_noise_text(gap[key]), f"verdict.gap.{key}") for key, look in looks.items()]
+    labels = WITH_EFFECTS if has_additions else WITHOUT_EFFECTS
+    known_labels = {key: label for key, label in labels.items() if gap[key] is not None}
+    numbers = [
+        GapNumber(name, colour, over_noise_text(gap[key]), f"verdict.gap.{key}")
+        for key, (name, colour) in known_labels.items()
+    ]
     is_closed = has_additions and gap["closed"] is not None and gap["closed"] > 0
     # Noise may raise the closed share above 1.
     closed = percent_text(min(gap["closed"], 1.0)) if is_closed else ""
-    return Gap(_draw_bars(gap, looks), numbers, closed, str(gap["on"]))
+    return Gap(_draw_bars(gap, known_labels), numbers, closed, str(gap["on"]))
 
 
 def adds_to_model(verdict: dict[str, Any]) -> bool:
@@ -61,15 +65,15 @@ def adds_to_model(verdict: dict[str, Any]) -> bool:
     return bool(verdict["effects"]) or verdict["light"] is not None
 
 
-def _draw_bars(gap: Mapping[str, Any], looks: Mapping[str, tuple[str, str]]) -> str:
+def _draw_bars(gap: Mapping[str, Any], labels: Mapping[str, tuple[str, str]]) -> str:
     """Return a figure of overlaid bars of the gap and a line at the noise floor, as JSON for Plotly.
 
-    `gap` is that of the verdict; `looks` are names and colours of its known numbers by key.
+    `gap` is the entry `gap` of verdict.json; `labels` has (name, colour) of each known number by its key.
     """
     bars = []
     for key, width in (("before", 0.9), ("after", 0.5)):
-        if key in looks:
-            name, colour = looks[key]
+        if key in labels:
+            name, colour = labels[key]
             trace = {"type": "bar", "orientation": "h", "name": name, "x": [gap[key]], "y": ["gap"], "width": width}
             trace["hovertemplate"] = f"{name}: %{{x:.4~g}}<extra></extra>"
             bars.append(trace | {"marker": {"color": f"var(--{colour})"}})

@@ -1,7 +1,9 @@
 """The section on the light: the declared shape and the learned one side by side.
 
-The declared shape is that of the instrument file. The learned one was fitted to the frames, as a free shape that all
-frames of a pose share. Lengths u and v are in widths σ_g of the declared Gaussian.
+The declared shape is that of the instrument file. The learned shape was fitted to the frames without assuming a
+formula; all frames of a pose, which is an orientation of the sample, share it. Both shapes are light relative to the
+peak of the declared Gaussian. Their coordinates u (along a row) and v (along a column) are distances from the centre of
+the spot, in widths σ_g of the declared Gaussian.
 """
 
 from typing import Any, NamedTuple
@@ -23,7 +25,7 @@ MAP_STEP = 2
 class LightSection(NamedTuple):
     """The section of the report on the light; the figures are "" without a learned shape."""
 
-    hint: str  # few words beside the title
+    hint: str  # short text beside the heading
     text: str  # one or two sentences on the shape
     maps: str = ""  # JSON for Plotly: maps of both shapes and their difference
     profiles: str = ""  # JSON for Plotly: both shapes along the row and the column through the centre
@@ -46,8 +48,10 @@ def describe_light(ds: xr.Dataset | None, verdict: dict[str, Any] | None, datase
     if "skipped" in ds.attrs or verdict["light"] is None:
         return LightSection("as declared", "The frames agree with the declared shape of the light.")
     shapes = compare_shapes(ds, dataset)
-    description, count = str(ds.attrs["described"]), ds.sizes["light"]
-    selection = "" if count == 1 else f" Of {count} lights, one for each pose, the one that differs most is shown."
+    description, pose_count = str(ds.attrs["described"]), ds.sizes["light"]
+    selection = (
+        "" if pose_count == 1 else f" Of {pose_count} lights, one for each pose, the one that differs most is shown."
+    )
     text = f"{description[:1].upper()}{description[1:]}.{selection}"
     hint = f"{percent_text(verdict['light']['power'])} of its power lies elsewhere than declared"
     return LightSection(hint, text, _draw_maps(shapes), _draw_profiles(shapes))
@@ -55,16 +59,17 @@ def describe_light(ds: xr.Dataset | None, verdict: dict[str, Any] | None, datase
 
 def _draw_maps(shapes: Shapes) -> str:
     """Return maps of both shapes on one colour scale, and of their difference on another, as JSON for Plotly."""
+    # The difference is in per cent of the peak.
     scales, difference = colour_scales(), 100 * (shapes.learned - shapes.declared)
     limit, peak = float(np.abs(difference).max()), float(max(shapes.declared.max(), shapes.learned.max()))
-    # Title, image [row, column], colour scale and unit of each map.
+    # Title, image [row, column], name of the colour scale in Plotly's layout, and unit of each map.
     maps = (("declared", shapes.declared, "coloraxis", "1"), ("learned", shapes.learned, "coloraxis", "1"),
             ("learned − declared", difference, "coloraxis2", "%"))  # fmt: skip
     places = shapes.places[::MAP_STEP]
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": []}
     for k, (title, image, scale, unit) in enumerate(maps):
-        # Plotly names its axes x, x2, x3.
+        # Plotly numbers the axes of several plots in a figure as x, x2, x3.
         axis, start = "" if k == 0 else str(k + 1), k * (MAP_WIDTH + MAP_GAP)
         data.append({"type": "heatmap", "z": np.round(image[::MAP_STEP, ::MAP_STEP], 5), "x": places, "y": places,
                      "coloraxis": scale, "xaxis": f"x{axis}", "yaxis": f"y{axis}",
@@ -91,6 +96,7 @@ def _draw_profiles(shapes: Shapes) -> str:
         "declared": (shapes.declared, {"color": "var(--simulated)", "dash": "dash"}),
     }
     for name, (image, line) in lines.items():
+        # The left plot with the axes x, y shows the middle row, the right one with x2, y2 the middle column.
         for axis, values in (("", image[middle]), ("2", image[:, middle])):
             data.append({"type": "scatter", "mode": "lines", "name": name, "x": shapes.places,
                          "y": np.maximum(values, MIN_LIGHT), "line": line, "xaxis": f"x{axis}", "yaxis": f"y{axis}",

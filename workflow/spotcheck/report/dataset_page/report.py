@@ -1,8 +1,8 @@
 """The report: one self-contained page of a dataset, from a summary of the verdict to a list of skipped stages.
 
-Each stage of the workflow writes one netCDF file, whose attribute `skipped` holds the reason if it could not run. The
-verdict (verdict.json) is the result of the test which effects the declared model of the frames lacks. The extended
-model includes these effects.
+Each stage of the workflow writes one netCDF file. If a stage could not run, the attribute `skipped` of its file holds
+the reason. The verdict (verdict.json) says which effects the declared model of the frames lacks. The extended model
+includes these effects. Functions return parts of the page as variables of the template report.html, by name.
 """
 
 import base64
@@ -29,13 +29,13 @@ from spotcheck.report.pages.citations import Citations
 
 # SVG pictures of this size or more [byte] are embedded as PNG, so that the page opens quickly.
 LARGEST_SVG = 400_000
-# Names of the pictures that the viewer of frames replaces.
+# Names of the pictures that are omitted because the page shows the frames themselves (frames.js).
 FRAME_PICTURES = ("overview", "residuals", "missing-answer")
-# Names of the results with an image for every frame, which are too large to be loaded whole.
+# Names of netCDF files with an image for every frame, which are too large to be loaded whole.
 FRAME_RESULTS = ("crops", "simulated", "views", "extended")
 
-Content = dict[str, Any]  # variables of the template report.html
-Stages = dict[str, xr.Dataset]  # results by the name of their stage
+Content = dict[str, Any]  # variables of the template report.html by name
+Stages = dict[str, xr.Dataset]  # contents of netCDF files by file name without suffix
 
 # Titles of the tables from docstrings, by their path below the results folder.
 TABLES_OF_CODE = {
@@ -86,7 +86,7 @@ def _read_json(path: Path) -> Any:
 
 
 def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> Content:
-    """Return the summary, the gap, the evidence and the tested data sheet of a verdict; {} without one."""
+    """Return the summary, the gap, the evidence and the tested data sheet of a verdict; {} if `verdict` is None."""
     if verdict is None:
         return {}
     return {
@@ -99,7 +99,7 @@ def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> C
 
 
 def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations) -> Content:
-    """Return the tables of the results; `available` are the stages that were not skipped."""
+    """Return the tables of the results; `available` are the files of stages that were not skipped."""
     fits = available.get("fits")
     return {
         "sensor": tables.tabulate_sensor(available.get("sensor"), citations),
@@ -118,9 +118,10 @@ def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations)
 
 
 def _collect_figures(dataset: Dataset, results: Path, available: Stages) -> Content:
-    """Return the curves, the pictures that neither a curve nor the viewer of frames replaces, and skipped figures.
+    """Return the curves, the pictures, and the figures that could not be drawn.
 
-    Skipped figures are pairs of a reason and the titles of all figures with this reason.
+    Pictures are omitted if a curve replaces them, or if they are among `FRAME_PICTURES` and the page shows frames.
+    `skipped_figures` has pairs of a reason and the titles of all figures with this reason.
     """
     curves = draw_curves(available)
     replaced = {curve.picture for curve in curves} | set(FRAME_PICTURES if dataset.spots else ())
@@ -141,7 +142,7 @@ def _collect_figures(dataset: Dataset, results: Path, available: Stages) -> Cont
 
 
 def _embed_picture(folder: Path, name: str) -> str:
-    """Return a picture as a data URL: the SVG, or the PNG of the same name if the SVG is large."""
+    """Return a picture as a data URL: `<name>.svg` of a folder, or `<name>.png` if the SVG is large."""
     svg = folder / f"{name}.svg"
     is_small = svg.stat().st_size < LARGEST_SVG
     path, image_type = (svg, "svg+xml") if is_small else (folder / f"{name}.png", "png")
@@ -149,7 +150,11 @@ def _embed_picture(folder: Path, name: str) -> str:
 
 
 def _list_skipped(dataset: Dataset, stages: Stages) -> Content:
-    """Return the skipped stages with their reasons, and the grid axes without values in the manifest."""
+    """Return the skipped stages with their reasons.
+
+    For a dataset with spots, `axes_without_values` has the names of the dimensions of the grid, such as "exposure",
+    whose values the manifest does not give.
+    """
     skipped = [(name, ds.attrs["skipped"]) for name, ds in stages.items() if "skipped" in ds.attrs]
     if not dataset.spots:
         return {"skipped": [*skipped, ("spots", "the manifest has no frame of kind spot; crops and fits need them")]}
@@ -159,7 +164,7 @@ def _list_skipped(dataset: Dataset, stages: Stages) -> Content:
 def _build_frame_content(dataset: Dataset, results: Path, stages: Stages, verdict: dict[str, Any] | None) -> Content:
     """Return the section on the spot frames: their images, texts beside them, and the remarks of crops.nc.
 
-    These remarks are shown as "frames set aside", since they are on frames that no fit uses.
+    The remarks are about frames that no fit uses; the page lists them as "frames set aside".
     """
     has_additions = verdict is not None and adds_to_model(verdict)
     with store.read(results / "crops.nc") as crops, store.read(results / "views.nc") as views:
@@ -170,7 +175,7 @@ def _build_frame_content(dataset: Dataset, results: Path, stages: Stages, verdic
 
 
 def _describe_frames(section: FrameSection) -> Content:
-    """Return the texts beside the first picture and the table of frames."""
+    """Return the texts beside the picture at the top of the page and beside the table of frames."""
     index = section.index
     first, largest = index["frames"][index["first_frame"]], section.rows[0]
     models = [NAMES[name] for name in index["first_models"]]
@@ -187,9 +192,9 @@ def _describe_frames(section: FrameSection) -> Content:
 
 
 def _list_other_pages(results: Path) -> list[tuple[str, str]]:
-    """Return the path below the results folder and the title of each executed notebook and table of the code.
+    """Return (path below the results folder, title) of each executed notebook and each page of `TABLES_OF_CODE`.
 
-    The title of a notebook is its first heading, or its name if it does not start with a heading.
+    The title of a notebook is its first line if this is a heading, otherwise the name of its file.
     """
     pages = []
     for page in sorted((results / "notebooks").glob("*.html")):
@@ -202,7 +207,7 @@ def _list_other_pages(results: Path) -> list[tuple[str, str]]:
 
 
 def _list_links(content: Content) -> list[tuple[str, str]]:
-    """Return the links of the first screen: id and title of each section that has content."""
+    """Return the links at the top of the page: (id, title) of each section that has content."""
     # Id, title and content of each section.
     sections = (
         ("frames", "Frames", content.get("frames")),

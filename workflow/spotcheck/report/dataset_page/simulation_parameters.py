@@ -1,6 +1,7 @@
 """Parameters of the simulation with their sources, as in Table 3 of the paper.
 
-p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure.
+The width of the spot at the exposure t is p1 ln t + p2 [px]. A site is a place on the sample with its own p1 and p2.
+Numbers on the page are marked text: HTML that shows the source of a number on hover.
 """
 
 from operator import attrgetter
@@ -14,7 +15,7 @@ from spotcheck.io.number_text import quantity_text
 from spotcheck.model.spot import TOP_HAT_RADIUS
 from spotcheck.report.pages.citations import Citations
 
-# Parameters of the instrument file: name, symbol, unit, key of instrument.yaml.
+# Parameters of the instrument file: name, symbol ("–" for none), unit, key of instrument.yaml.
 STATED = (
     ("Focal length", "f", "m", "optics.focal_length_m"),
     ("Working distance", "d_w", "m", "optics.working_distance_m"),
@@ -38,9 +39,9 @@ class ParameterRow(NamedTuple):
     """A row of the table of parameters."""
 
     name: str  # the parameter in words
-    symbol: tuple[str, str]  # symbol and its subscript; "" for no subscript
-    value: str  # value with its unit
-    source: str  # where the value is from; "" if there is no value
+    symbol: tuple[str, str]  # (symbol, subscript); the subscript is "" if there is none
+    value: str  # value with its unit, as marked text
+    source: str  # file or method from which the value is; "" if there is no value
 
 
 def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citations: Citations) -> list[ParameterRow]:
@@ -59,8 +60,8 @@ def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citation
     def row(name: str, symbol: str, value: float | str | None, unit: str, source: str, key: str = "") -> ParameterRow:
         """Return a row; a value that is text includes its unit, and `key` is its name for `spotcheck explain`."""
         letter, _, subscript = symbol.partition("_")
-        text = citations.cite(_value_text(value, unit), key)
-        return ParameterRow(name, (letter, subscript), text, "" if value is None else source)
+        marked_text = citations.cite(_value_text(value, unit), key)
+        return ParameterRow(name, (letter, subscript), marked_text, "" if value is None else source)
 
     instrument = dataset.instrument
     rows = [
@@ -83,6 +84,7 @@ def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citation
         # The estimate of p1, p2 and the peak that the simulation uses.
         used = files["calibration"].sel(estimator=files["calibration"].attrs["used"])
         for name, kind in (("p1", "factor"), ("p2", "offset")):
+            # Mean ± standard deviation over all sites.
             text = quantity_text(float(used[f"{name}_mean"]), float(used[f"{name}_sd_all"]), "px")
             source, key = "calibrated; ± standard deviation over all sites", f"calibration.{name}_mean"
             rows.append(row(f"Beam propagation {kind}", name, text, "", source, key))
@@ -92,7 +94,7 @@ def tabulate_parameters(dataset: Dataset, files: dict[str, xr.Dataset], citation
 
 
 def _value_text(value: float | str | None, unit: str) -> str:
-    """Return a value with its unit; None is "not given", NaN is "unknown"."""
+    """Return a value with its unit as text; None becomes "not given", NaN "unknown". Text is returned unchanged."""
     if value is None:
         return "not given"
     if isinstance(value, str):

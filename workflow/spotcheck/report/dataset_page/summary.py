@@ -1,8 +1,16 @@
-"""The summary on the first screen of the report: the verdict, its significance, and what to measure next.
+"""The summary at the top of the report: the verdict, its significance, and what to measure next.
 
-The verdict (verdict.json) is the result of the test which effects the model of the frames lacks. Its `status` is
-not_assessed, not_converged, consistent, unknown, ambiguous, named or named_more_remains. The gap is the mean square of
-block residuals over that of the noise, on held-out data. The levels are mean and variance of flats and darks.
+The verdict (verdict.json) says which effects the model of the frames lacks. A verdict is on spots, or on flats and
+darks; only the latter has an entry `levels`, the means and variances of flats and darks. The gap is the mean square of
+block residuals over that of the noise, on held-out data. The `status` of a verdict is one of:
+
+- not_assessed: nothing could be tested;
+- not_converged: a fit failed, so that no effect is named;
+- consistent: the frames agree with the model;
+- unknown: they disagree, and no known effect explains it;
+- ambiguous: several effects explain it equally well;
+- named: the named effects explain it;
+- named_more_remains: effects are named, and a part remains unexplained.
 """
 
 from typing import Any, NamedTuple
@@ -12,33 +20,33 @@ from spotcheck.discrepancy.sentence import effect_text, either_text
 from spotcheck.discrepancy.words import condition_text, list_text, percent_text, probability_text
 from spotcheck.io.number_text import quantity_text
 
-# A smaller p-value is given as "less than once in ten thousand measurements".
+# A p-value below this is written as "less than once in ten thousand measurements".
 RARE = 1e-4
-# Most effects that are listed as similar to the unexplained residual.
-MOST_SIMILAR = 3
+# Largest number of effects that are listed as similar to the unexplained residual.
+MAX_SIMILAR_EFFECTS = 3
 
 
 class Summary(NamedTuple):
-    """Sentences that summarize a verdict, each "" if there is nothing to say."""
+    """Sentences that summarize a verdict. The second one is "" if nothing was tested."""
 
     verdict: str  # whether the frames agree with the model, or the effects that explain the difference
-    significance: str  # p-value, closed part of the gap, and the gain of flats
+    significance: str  # p-value, share of the gap that the effects close, and the gain K from flats
     advice: str  # what to measure next
 
 
 def summarize(verdict: dict[str, Any]) -> Summary:
     """Return the summary of a verdict, which is the content of verdict.json."""
-    significance, gain = _describe_significance(verdict), _describe_gain(verdict)
-    if significance and gain:
-        # Before the full stop of the last sentence.
-        significance = f"{significance[:-1]}; {gain}."
+    significance, gain_clause = _describe_significance(verdict), _describe_gain(verdict)
+    if significance and gain_clause:
+        # The clause replaces the full stop of the sentence.
+        significance = f"{significance[:-1]}; {gain_clause}."
     return Summary(_describe_verdict(verdict), significance, _advise(verdict))
 
 
 def number_keys(verdict: dict[str, Any]) -> dict[str, str]:
-    """Return the keys of the numbers that sentences about a verdict may contain, by their texts in a sentence.
+    """Return the key of each number that sentences about a verdict may contain, by its text in a sentence.
 
-    A key is the full name of a number for `spotcheck explain`, such as `verdict.gap.closed`.
+    A key is the full name of a number for `spotcheck explain`: "97 %" may have the key "verdict.gap.closed".
     """
     detection, unexplained, closed = verdict["detection"], verdict["unexplained"]["size"], verdict["gap"]["closed"]
     keys = {}
@@ -67,18 +75,22 @@ def number_keys(verdict: dict[str, Any]) -> dict[str, str]:
 
 
 def _value_text(parameter: dict[str, Any]) -> str:
-    """Return the value of an effect's parameter with its error and unit."""
+    """Return the value of a parameter of an effect with error and unit, from its entry in verdict.json."""
     return quantity_text(parameter["value"], parameter["stderr"], parameter["unit"])
 
 
 def _gain_text(verdict: dict[str, Any], name: str) -> str:
-    """Return one of the gains of a verdict on flats, as text: `straight_line` or `gain_dn_per_e`."""
+    """Return a gain K of a verdict on flats as text.
+
+    `name` is "straight_line" for the slope of the variance over the mean, or "gain_dn_per_e" for the gain of the model
+    with the named effects.
+    """
     gain = verdict["levels"][name]
     return quantity_text(gain["value"], gain["stderr"], "DN/e-")
 
 
 def _describe_verdict(verdict: dict[str, Any]) -> str:
-    """Return the verdict in one sentence: agreement, or the effects that explain the difference."""
+    """Return one sentence: the frames agree with the model, or these effects explain the difference."""
     status = verdict["status"]
     if status in ("not_assessed", "not_converged"):
         # The effect "all" stands for the whole verdict.
@@ -116,6 +128,7 @@ def _describe_significance(verdict: dict[str, Any]) -> str:
     elif p < verdict["detection"]["alpha"]:
         text = f"Noise alone causes such a difference {chance}"
     else:
+        # The overall test may miss what a test of one effect finds.
         contrast = "tests of single effects do" if effects else "the residual exceeds the tolerance"
         text = f"The overall test finds no disagreement ({probability_text(p)}), but {contrast}"
     if status == "unknown":
@@ -134,7 +147,7 @@ def _describe_significance(verdict: dict[str, Any]) -> str:
 
 
 def _describe_gain(verdict: dict[str, Any]) -> str:
-    """Return a clause on the gain K [DN/e-] from the levels of flats; "" for a verdict on spots."""
+    """Return a clause without full stop on the gain K [DN/e-] from flats; "" for a verdict on spots."""
     if "levels" not in verdict:
         return ""
     line = _gain_text(verdict, "straight_line")
@@ -159,8 +172,9 @@ def _advise(verdict: dict[str, Any]) -> str:
         place = f"; the residual is largest in {verdict['where'][0]['words']}" if verdict["where"] else ""
         return f"No measurement can be advised, because no known effect predicts the difference{place}."
     if status == "named_more_remains" and unexplained is not None:
-        # Their fitted strength is significant, but they are not named.
-        similar = [limit["effect"] for limit in verdict["limits"] if limit["more"] == ALREADY_PRESENT][:MOST_SIMILAR]
+        # Effects whose fitted strength is significant, although they are not named.
+        present = [limit["effect"] for limit in verdict["limits"] if limit["more"] == ALREADY_PRESENT]
+        similar = present[:MAX_SIMILAR_EFFECTS]
         contrast = "none of them explains it" if len(similar) > 1 else "it does not explain it"
         nearest = (
             f"most similar: {list_text(similar)}, but {contrast}" if similar else "no known effect is similar to it"

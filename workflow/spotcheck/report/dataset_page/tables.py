@@ -1,8 +1,9 @@
 """Tables of the results as rows of text: sensor, flats and darks, p1 and p2, fits, precision, the paper's numbers.
 
-p1 and p2 are the slope and the offset [px] of the spot's width over the logarithm of the exposure. They and the peak
-[DN] of a spot are calibrated by several estimators, of which the simulation uses one. Arguments named like a netCDF
-file hold its content; they are None if the file is missing or its stage was skipped.
+The width of the spot at the exposure t is p1 ln t + p2 [px]. The calibration estimates p1, p2 and the peak [DN] of a
+spot by several estimators, of which the simulation uses one. A site is a place on the sample with its own p1 and p2.
+An argument that is named like a netCDF file holds the content of this file; it is None if the file is missing or its
+stage was skipped. Numbers are marked text: HTML that shows the source of a number on hover.
 """
 
 import csv
@@ -30,9 +31,10 @@ from spotcheck.paper.plateau_level import estimate_plateau_levels
 from spotcheck.report.figures import series
 from spotcheck.report.pages.citations import Citations
 
-# Most rows of the table of fits; fits.nc has the fits of all frames.
-MOST_FITS = 200
-# Columns of the table of fit ranges; their variables in transfer.nc have the prefix "range_".
+# Largest number of rows of the table of fits; fits.nc has the fits of all frames.
+MAX_FIT_ROWS = 200
+# Columns of the table of ranges of levels to which a line was fitted: upper end, number of levels, gain and intercept.
+# Their variables in transfer.nc have the prefix "range_".
 RANGE_COLUMNS = ("limit", "levels", "gain", "intercept")
 # Quantities of a beam: variable of caustic.nc, words before the value, and unit.
 BEAM = (
@@ -41,28 +43,36 @@ BEAM = (
     ("divergence", "divergence θ =", "rad"),
     ("m2", "M² =", "1"),
 )
-# Decimals of a standard deviation or bias of p1 and p2 [px]: smaller values are rounding of floats.
+# Decimals of a standard deviation or bias of p1 and p2 [px]: smaller values are rounding errors of floats.
 SD_DECIMALS = 6
 
-Row = dict[str, Any]  # row of a table: texts by the names of the template
+Row = dict[str, Any]  # row of a table: texts by the names of the columns in the template
 
 
 def summarize_frames(frames: xr.Dataset) -> str:
-    """Return the number of frames of each kind, their size and their largest reading, from frames.nc."""
+    """Return the number of frames of each kind, their size and their largest reading as text.
+
+    `frames` is the content of frames.nc. The kinds are spot, flat and dark.
+    """
     kinds, counts = np.unique(frames["kind"].values.astype(str), return_counts=True)
-    listed = ", ".join(f"{count:,} {kind}" for kind, count in zip(kinds, counts, strict=True))
+    kind_texts = ", ".join(f"{count:,} {kind}" for kind, count in zip(kinds, counts, strict=True))
     size = f"{int(frames['columns'])} × {int(frames['rows'])} px"
-    return f"{listed} frames of {size}, readings up to {int(frames['maximum'].max())} of {int(frames['full_scale'])} DN"
+    largest = f"readings up to {int(frames['maximum'].max())} of {int(frames['full_scale'])} DN"
+    return f"{kind_texts} frames of {size}, {largest}"
 
 
 def tabulate_sensor(sensor: xr.Dataset | None, citations: Citations) -> list[Row]:
-    """Return a row for each quantity of the sensor: the value in use, and the value by each source; [] if None."""
+    """Return a row for each quantity of the sensor: the value in use and its source, and the value by each source.
+
+    Sources are, for example, the data sheet and the flats. Returns [] without sensor.nc.
+    """
     if sensor is None:
         return []
     rows = []
     for name, (unit, long_name) in SENSOR_QUANTITIES.items():
         value, error = float(sensor[name]), float(sensor[f"{name}_stderr"])
         text = "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}"
+        # Name of each source, and its value and standard error of the quantity [source].
         columns = (sensor[variable].values for variable in ("source", f"{name}_by", f"{name}_by_stderr"))
         rows.append(
             {
@@ -86,9 +96,10 @@ def _known_text(value: float, stderr: float) -> str:
 
 
 def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return the variable `transfer` of sensor.html: quantities of EMVA 1288, remarks, and gains of several fit ranges.
+    """Return the variable `transfer` of sensor.html; None without transfer.nc.
 
-    A quantity that is unknown has the reason `why`. Returns None without transfer.nc.
+    `rows` are the quantities of EMVA 1288, with the reason `why` if a quantity is unknown. `remarks` are those of the
+    file. `ranges` are the rows of `tabulate_ranges`.
     """
     if transfer is None:
         return None
@@ -119,7 +130,8 @@ def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict
 def tabulate_ranges(transfer: xr.Dataset) -> list[tuple[str, str, str, str]]:
     """Return a row of texts for each range of levels to which a line was fitted.
 
-    A row has the upper end [% of saturation], the number of levels, the gain [DN/e-] and the intercept [DN].
+    A level is a set of flats with equal light. A row has the upper end of the range [% of saturation], the number of
+    levels, the gain [DN/e-] and the intercept [DN], both with standard errors.
     """
     rows = []
     for k in range(transfer.sizes["range"]):
@@ -134,10 +146,12 @@ def tabulate_ranges(transfer: xr.Dataset) -> list[tuple[str, str, str, str]]:
 
 
 def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return the variable `calibration` of calibration.html: p1, p2 and the peak by each estimator.
+    """Return the variable `calibration` of calibration.html; None without calibration.nc.
 
-    `sd_repeats`, `sd_angles` and `sd_all` are standard deviations over repeats, angles and all sites [px]; `miss` is
-    the bias found by simulation [px]. `laser_width` is the width of the laser in the image [px].
+    `rows` has p1, p2 and the peak by each estimator. For p1 and p2, `sd_repeats`, `sd_angles` and `sd_all` are the
+    standard deviations over repeats, angles and all sites [px], and `miss` is the bias that a simulation found [px].
+    `laser_width` is the width of the laser in the image [px]. `has_converged` is about the estimator by maximum
+    likelihood.
     """
     if calibration is None:
         return None
@@ -165,18 +179,21 @@ def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -
 
 
 def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citations) -> list[tuple[str, list[str]]]:
-    """Return a row for each of the first frames: its name; its fitted values with errors, and reduced χ²."""
+    """Return (name of the frame, cells) for each of the first `MAX_FIT_ROWS` frames; [] without fits.nc.
+
+    The cells are the fitted parameters with standard errors, and the reduced χ².
+    """
     if fits is None:
         return []
     preferred = select_preferred_fits(fits)
     rows = []
-    for index, frame in list(dataset.cells())[:MOST_FITS]:
+    for index, frame in list(dataset.cells())[:MAX_FIT_ROWS]:
         fit = preferred.isel({axis.name: k for axis, k in zip(dataset.axes, index, strict=True)})
         cells = []
         for name in PARAMETERS:
             value, error = float(fit[name]), float(fit[f"{name}_stderr"])
             text = quantity_text(value, error)
-            # A round spot has no orientation; its error is infinite.
+            # The orientation of a round spot is not defined; its error is infinite.
             is_known = np.isfinite(value) and not np.isinf(error)
             cells.append(citations.cite_frame(text, f"fits.{name}", frame.label) if is_known else "–")
         chi2 = number_text(float(fit["chi2_reduced"]))
@@ -186,15 +203,19 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citation
 
 
 def describe_fit(fits: xr.Dataset | None) -> str:
-    """Return the method of the preferred fits, which the table shows, in words; "" without fits.nc."""
+    """Return the method of the fits in the table in words; "" without fits.nc.
+
+    fits.nc may have fits by several methods, of which its attribute `preferred` names one.
+    """
     return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
 
 
 def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
-    """Return the peak of the spot [DN] by interpretations of the paper's equations, and the calibrated one.
+    """Return the peak of the spot [DN] by each interpretation of the equations of the paper, and the calibrated peak.
 
-    `files` are results by file name without suffix. Returns None without calibration or sensor, or if the instrument
-    file lacks a number of Table 3 of the paper. The equations do not fix the peak, since their units do not agree.
+    The units of the equations do not agree, so that several interpretations are possible. `files` has the contents of
+    the netCDF files by name without suffix. `rows` of the result has (interpretation, peak). Returns None without
+    calibration.nc or sensor.nc, or if the instrument file lacks a number of Table 3 of the paper.
     """
     if "calibration" not in files or "sensor" not in files:
         return None
@@ -212,7 +233,10 @@ def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str,
 
 
 def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup | None:
-    """Return waist, divergence and M² in a sentence, for each axis or for the mean of both axes of a round beam."""
+    """Return a sentence with waist, divergence and M² of the beam; None without caustic.nc.
+
+    It gives them for each axis of the beam, or for the mean of both axes if the beam is round.
+    """
     if caustic is None:
         return None
     clauses = []
@@ -231,7 +255,8 @@ def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup
 def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
     """Return a sentence on the precision of the fits, and a row for each condition; None without precision.nc.
 
-    A row has scatter over repeats, Cramér–Rao bound and their ratio, of measured and of simulated frames.
+    `rows` has (condition in words, cells). The cells are those of `_precision_texts` for the measured and then for the
+    simulated frames.
     """
     if precision is None:
         return None
@@ -240,6 +265,7 @@ def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> di
     for index in np.ndindex(*(precision.sizes[dim] for dim in dims)):
         place = dict(zip(dims, index, strict=True))
         condition = precision.isel(place)
+        # The number of the dimension's value stands for a value that was not recorded.
         labels = [f"{dim}={condition[dim].item() if dim in precision.coords else k}" for dim, k in place.items()]
         cells = []
         for source in ("measured", "simulated"):
@@ -251,9 +277,11 @@ def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> di
 
 
 def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str, str]]:
-    """Return the numbers of a condition: variable without its source, parameter ("" for none), and text.
+    """Return (variable, parameter, text) of each number of a condition.
 
-    `source` is "measured" or "simulated".
+    The numbers are the count of frames, the scatter of the width over repeats, its Cramér–Rao bound, and the ratio of
+    scatter to bound for width and amplitude. The variable is that of precision.nc without its ending, which is the
+    `source`, "measured" or "simulated". The parameter is "" for the count.
     """
 
     def value(name: str, parameter: str) -> float:
@@ -269,13 +297,16 @@ def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str,
 
 
 def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
-    """Return the frames that no fit uses, or not completely, with the meanings of their flags."""
+    """Return (name, reasons) of each frame that was not fitted, or not completely; [] without fits.nc.
+
+    The reasons are the meanings of the flags of its fit.
+    """
     if fits is None:
         return []
     preferred = select_preferred_fits(fits).transpose(*(axis.name for axis in dataset.axes), ...)
-    # Pixels that a fit left out, in words.
+    # Flags, and pixels that a fit left out in words, [index of the frame in each dimension of the grid].
     status, left_out_pixels = preferred["status"].values, preferred["left_out"].values
-    # Frames with these flags alone are used completely.
+    # Frames with only these flags are used completely.
     harmless_flags = store.flag("clipped") | store.flag("misfit")
     rows = []
     for index, frame in dataset.cells():
@@ -290,9 +321,12 @@ def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple
 
 
 def tabulate_models(declared: xr.Dataset | None, extended: xr.Dataset | None) -> dict[str, Any] | None:
-    """Return how far both models are from the measured frames, by metric and by condition; None without both.
+    """Return the variable `models` of models.html: distances of both models from the measured frames.
 
-    Distances are in standard deviations of measured repeats; see `metrics.model_comparison`.
+    `declared` and `extended` are the contents of metrics.nc and extended_metrics.nc. A distance is the difference of a
+    metric between simulated and measured frames, in standard deviations over measured repeats. `summary` has the
+    distances (declared, extended) of each metric over all conditions, `rows` has those of each condition. Returns None
+    without both files.
     """
     if declared is None or extended is None:
         return None
@@ -303,6 +337,7 @@ def tabulate_models(declared: xr.Dataset | None, extended: xr.Dataset | None) ->
             row.metric,
             series.condition_text(declared, row.index),
             quantity_text(row.measured, row.measured_sd),
+            # Value and distance of the declared and of the extended model.
             *(f"{number_text(value, 4)} ({number_text(distance, 2)})"
               for value, distance in zip((row.declared, row.extended), row.distances(), strict=True)),
         )
@@ -314,10 +349,10 @@ def tabulate_models(declared: xr.Dataset | None, extended: xr.Dataset | None) ->
 
 
 def read_paper_numbers(path: Path) -> dict[str, Any] | None:
-    """Return the variable `numbers` of numbers.html, from paper_numbers.csv; None without the file.
+    """Return the variable `numbers` of numbers.html, from the file paper_numbers.csv; None without the file.
 
-    `groups` are the rows of the file by the words for their group. `shares` are the number of rows of each group that
-    are met, and the number of all.
+    The file has a row for each number or statement of the paper, which `holds` if our value is in its accepted
+    interval. `groups` are the rows by the words for their group. `shares` has (rows that hold, all rows) of each group.
     """
     if not path.exists():
         return None

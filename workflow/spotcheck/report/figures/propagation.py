@@ -1,7 +1,8 @@
 """Fig. 7: the beam propagation parameters p1 and p2 of each fibre orientation.
 
-p1 and p2 give the width of the spot at an exposure (Eq. 8 of the paper). A site is a place on the sample: one angle and
-repeat and one value of each declared condition, with frames of all exposures.
+The width of the spot at the exposure t is p1 ln t + p2 (Eq. 8 of the paper), both in px. A site is a place on the
+sample. It has one fibre orientation (angle), one repeat and one value of each declared condition, and frames of all
+exposures. calibration.nc has p1 and p2 of each site by several estimators.
 """
 
 import numpy as np
@@ -23,10 +24,11 @@ def draw_parameters(results: Results) -> style.Drawing:
     # Name of the estimator that the simulation uses.
     used = str(calibration.attrs["used"])
     ds = calibration.sel(estimator=used)
-    # p1 and p2 result from a regression over the exposure: the remaining dimensions are those of the sites.
+    # Dimensions of the sites; the exposure is none of them, because p1 and p2 result from a regression over it.
     dims = tuple(map(str, ds["p1"].dims))
     abscissa = next((dim for dim in ("angle", *dims) if ds.sizes[dim] > 1), "repeat")
-    axes = series.PlotAxes(abscissa, None, tuple(dim for dim in dims if dim != abscissa))
+    pooled_dims = tuple(dim for dim in dims if dim != abscissa)
+    axes = series.PlotAxes(abscissa=abscissa, lines=None, pooled=pooled_dims)
     figure = style.new_figure(3.4)
     left = figure.add_subplot()
     right = left.twinx()
@@ -37,32 +39,39 @@ def draw_parameters(results: Results) -> style.Drawing:
     statistics = {name: series.require_values(series.average_frames(ds[name], axes), name) for name in ("p1", "p2")}
     for k, (name, ax, line) in enumerate(zip(statistics, (left, right), lines, strict=True)):
         x = series.set_abscissa(left, ds, axes)
+        # Mean and standard deviation of each point of the only line [px].
         mean, sd = statistics[name].mean[0], statistics[name].sd[0]
         offset = series.offset_lines(x, 2)[k]
         handles.append(series.draw_error_bars(ax, x + offset, mean, sd, line, is_filled=k == 0))
+        # "p1" with a subscript.
         symbol = f"$p_{name[1]}$"
+        # Mean and standard deviation over all sites.
         labels.append(f"{symbol} = {quantity_text(float(ds[f'{name}_mean']), float(ds[f'{name}_sd_all']))} px")
         ax.set_ylabel(f"{symbol} / px", color=line.colour)
         ax.tick_params(axis="y", colors=line.colour)
     style.add_legend(figure, handles, labels, 2)
-    others = [str(name) for name in calibration["estimator"].values if name != used]
-    others = [name for name in others if np.isfinite(calibration["p1_mean"].sel(estimator=name))]
+    other_estimators = [str(name) for name in calibration["estimator"].values if name != used]
+    other_texts = [
+        _estimator_text(calibration, name)
+        for name in other_estimators
+        if np.isfinite(calibration["p1_mean"].sel(estimator=name))
+    ]
     sites = statistics["p1"]
     caption = (
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"
         f" {style.axis_name(abscissa)}; crops centred on the light."
-        # Each site has one value.
+        # The text counts values, of which each site has one.
         f" {series.frames_text(sites, axes).replace('frames a point', 'sites a point')}"
         " (each site has one fit over all its exposures). Legend: mean ± standard deviation over all"
         f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
-        f" Others: {'; '.join(_estimator_text(calibration, name) for name in others)}."
+        f" Others: {'; '.join(other_texts)}."
     )
     note = "The paper prints p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20 in metres; they are consistent only in pixels."
     return style.Drawing(figure, caption + results.paper_note(note))
 
 
 def _estimator_text(calibration: xr.Dataset, name: str) -> str:
-    """Return the means of p1 and p2 by the estimator `name` of calibration.nc as text."""
+    """Return the meaning of an estimator of calibration.nc, and the means of p1 and p2 over all sites, as text."""
     ds = calibration.sel(estimator=name)
     values = (f"{symbol} = {float(ds[f'{symbol}_mean']):.2f} px" for symbol in ("p1", "p2"))
     return f"{calibration.attrs[f'estimator_{name}']}: {', '.join(values)}"

@@ -1,4 +1,8 @@
-"""Results of a dataset: files are opened when a figure first reads them."""
+"""Results folder of a dataset, for figures: each file is opened when a figure first reads it.
+
+A stage of the workflow writes one netCDF file. If the stage could not run, the attribute `skipped` of its file has the
+reason.
+"""
 
 import json
 from pathlib import Path
@@ -36,7 +40,7 @@ class Results:
     def __init__(self, folder: str | Path, dataset: str | Path | Dataset):
         self.folder = Path(folder)
         self.dataset = dataset if isinstance(dataset, Dataset) else load(dataset)
-        self._opened: dict[str, xr.Dataset] = {}  # netCDF results by the names that `get` takes
+        self._opened: dict[str, xr.Dataset] = {}  # opened netCDF files by their names for `get`
 
     def __enter__(self) -> "Results":
         return self
@@ -52,9 +56,9 @@ class Results:
         return self.dataset.instrument
 
     def get(self, name: str) -> xr.Dataset:
-        """Return a netCDF result; `name` is its path in the folder without suffix, such as "simulated/crops".
+        """Return the content of a netCDF file; `name` is its path in the folder without suffix: "simulated/crops".
 
-        Raises `Unavailable` if the file does not exist, or if its stage was skipped and only wrote the reason.
+        Raises `Unavailable` if the file does not exist or its stage was skipped.
         """
         if name not in self._opened:
             path = self.folder / f"{name}.nc"
@@ -67,7 +71,7 @@ class Results:
         return ds
 
     def find(self, name: str) -> xr.Dataset | None:
-        """Return a netCDF result as `get` does; None if it does not exist or its stage was skipped."""
+        """Return the content of a netCDF file as `get` does; None if it does not exist or its stage was skipped."""
         try:
             return self.get(name)
         except Unavailable:
@@ -81,7 +85,7 @@ class Results:
         return json.loads(path.read_text(encoding="utf-8"))
 
     def _absence_reason(self, name: str) -> str:
-        """Return the reason why the file of a netCDF result does not exist; `name` as in `get`."""
+        """Return the reason why a netCDF file does not exist; `name` is as for `get`."""
         if name == "transfer":
             return "the manifest names no frame of kind flat or dark"
         if not self.dataset.spots:
@@ -101,24 +105,34 @@ class Results:
         return all(len(values) == len(printed) and np.allclose(values, printed) for values, printed in pairs)
 
     def paper_note(self, note: str) -> str:
-        """Return " " and a note that compares with the paper; "" if the design is not that of the paper."""
+        """Return the end of a caption that compares with the paper: a space and `note`.
+
+        Returns "" if exposures and angles are not those of the paper.
+        """
         return f" {note}" if self.has_paper_design() else ""
 
     def mean_reading(self, light_dn: np.ndarray, exposure_s: float | None) -> np.ndarray:
-        """Return the mean reading [DN] of pixels with a mean light, including rounding and clipping of the sensor.
+        """Return the mean reading of pixels, with the rounding and clipping of the sensor.
 
         Parameters
         ----------
         light_dn : ndarray
-            Mean light, in DN above the black level, of any shape. It is returned unchanged if the sensor is unknown.
+            Mean signal of each pixel, in DN above the black level, of any shape.
         exposure_s : float or None
-            Exposure time; None (not recorded) counts as 0 s, without dark current.
+            Exposure time [s]; None (not recorded) counts as 0 s, without dark current.
+
+        Returns
+        -------
+        ndarray
+            Mean reading, including the black level [DN], of the shape of `light_dn`. If gain or read noise is unknown,
+            `light_dn` is returned instead.
         """
         sensor = self._sensor_model()
         if sensor is None:
             return light_dn
         distribution = ReadingDistribution(sensor, exposure_s=exposure_s or 0.0)
-        return distribution.tabulate(float(np.max(light_dn))).mean(light_dn)
+        table = distribution.tabulate(float(np.max(light_dn)))
+        return table.mean(light_dn)
 
     def _sensor_model(self) -> SensorModel | None:
         """Return the sensor in sensor.nc; None if gain or read noise is unknown, or if the file does not exist."""

@@ -1,4 +1,8 @@
-"""Write every figure that the results support, and index.json with captions and reasons."""
+"""Write every figure that the results support, and index.json.
+
+index.json has the caption of each figure that was drawn, and the reason for each figure that the results do not
+support. An entry is the record of a figure: name, title, required results and drawing function.
+"""
 
 import json
 from pathlib import Path
@@ -15,23 +19,25 @@ def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None 
     Parameters
     ----------
     results : Results
-        Results of a dataset.
+        Results folder of a dataset.
     folder : Path
-        Folder to write to. Earlier files of figures that can no longer be drawn are removed from it.
+        Folder to write to. Files that an earlier run wrote are removed if their figure can no longer be drawn.
     entries : tuple of Entry, optional
-        Entries of the figures to draw; by default all.
+        Figures to draw; by default all.
 
     Returns
     -------
     dict of str to list
-        Content of index.json. `figures` has name, title, caption, category and figure of the paper of each figure that
-        was drawn. `skipped` has name, title and reason (`why`) of each figure that the results do not support.
+        Content of index.json, two lists of dictionaries. `figures` has `name`, `title`, `caption`, `category` and
+        `paper` of each drawn figure; `paper` is the corresponding figure of the paper ("Fig. 7") or None. `skipped` has
+        `name`, `title` and the reason `why` of each figure that the results do not support.
     """
     drawn: list[dict[str, str | None]] = []
     skipped: list[dict[str, str | None]] = []
     for entry in progress.track(every_figure() if entries is None else entries, "drawing figures"):
         record: dict[str, str | None] = {"name": entry.name, "title": entry.title}
         try:
+            # Raises `Unavailable` if a required result is missing.
             for name in entry.needs:
                 results.get(name)
             with style.house_style():

@@ -1,7 +1,6 @@
-"""Tables from docstrings: the functions that implement each of the paper's equations, and the tests that check them.
+"""Pages equations.html and symbols.html: the functions and tests of each equation of the paper, and its symbols.
 
-A docstring cites an equation by its number: "Eq. 12", "Eqs. 9–14", "Eqs. 16, 24 and 29". Tests cite equations in the
-same way.
+The docstring of a function or test cites an equation by its number: "Eq. 12", "Eqs. 9–14", "Eqs. 16, 24 and 29".
 """
 
 import ast
@@ -38,22 +37,28 @@ def find_equations(text: str) -> set[int]:
     numbers: set[int] = set()
     for citation in CITATION.findall(text):
         for number_or_range in re.split(r",|and", citation):
+            # One number, both ends of a range, or nothing between a comma and "and".
             ends = [int(digits) for digits in re.findall(r"\d+", number_or_range)]
             numbers.update(range(ends[0], ends[-1] + 1) if ends else ())
     return numbers
 
 
 def collect_citations(root: Path, prefix: str = "", only_functions: str = "") -> dict[int, list[Citation]]:
-    """Return the functions and classes whose docstrings cite an equation, by its number.
+    """Return the functions and classes that cite each equation in their docstrings.
 
     Parameters
     ----------
     root : Path
-        Folder of Python files, which are read recursively.
+        Folder of Python files, which is read with its subfolders.
     prefix : str
-        Dotted name of the folder; "" for none.
+        Dotted name of the folder, with which names of modules start; "" for none.
     only_functions : str
-        Prefix of the names of the functions and classes that are read; "" for all.
+        Text with which names of functions and classes must start; "" for all.
+
+    Returns
+    -------
+    dict of int to list of Citation
+        Citations by the number of the equation. Equations that nothing cites are missing.
     """
     citations: dict[int, list[Citation]] = {}
     for path in sorted(root.rglob("*.py")):
@@ -68,9 +73,9 @@ def collect_citations(root: Path, prefix: str = "", only_functions: str = "") ->
 
 
 def find_used_names(root: Path) -> set[str]:
-    """Return all names and attributes that the code of Python files in a folder reads.
+    """Return all names of variables, functions and attributes that the code of a folder and its subfolders reads.
 
-    A function whose name is not among them is called by tests or users alone.
+    If the name of a function is not among them, only tests or users call it.
     """
     return {
         node.id if isinstance(node, ast.Name) else node.attr
@@ -86,11 +91,11 @@ def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
     Parameters
     ----------
     symbols : Path
-        YAML file of the paper's symbols.
+        YAML file with a list of the symbols of the paper.
     tests : Path
         Folder of the tests.
     folder : Path
-        Folder of the pages.
+        Folder to which the pages are written.
 
     Raises
     ------
@@ -107,9 +112,16 @@ def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
                 " docstring cites it"
             )
     rows = [(number, functions[number], test_functions[number]) for number in EQUATIONS]
-    # Functions of the package `paper` are called by the ids of data/published.yaml.
-    of_paper = {citation.name for cited in functions.values() for citation in cited if ".paper." in citation.where}
-    content = {"rows": rows, "used_names": find_used_names(PACKAGE) | of_paper | set(spotcheck.__all__)}
+    # Functions of the package `paper` are called by their names in data/published.yaml, which no code reads.
+    paper_names = {
+        citation.name
+        for citations in functions.values()
+        for citation in citations
+        if ".paper." in citation.where
+    }  # fmt: skip
+    # The page marks functions that only tests or users call.
+    used_names = find_used_names(PACKAGE) | paper_names | set(spotcheck.__all__)
+    content = {"rows": rows, "used_names": used_names}
     write_page(folder / "equations.html", "equations.html", title="Equation → function → test", **content)
     title = "Symbol → name in code → unit → equation"
     write_page(folder / "symbols.html", "symbols.html", title=title, rows=read_yaml(symbols))

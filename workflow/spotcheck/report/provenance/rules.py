@@ -1,7 +1,8 @@
 """Workflow rules that write the result files, as the help texts of the subcommands declare them.
 
-A rule is a step of the workflow (Snakefile), which calls a subcommand of `spotcheck` to write result files. Rules for
-simulated frames, and for the extended model with added effects, are variants that call the same subcommand.
+A rule is a step of the workflow (Snakefile). It calls a subcommand of `spotcheck`, which writes result files. A variant
+of a rule calls the same subcommand for simulated frames or for the extended model, and has a suffix: `fit_simulated`
+is the variant of `fit` that writes simulated/fits.nc.
 """
 
 import ast
@@ -21,9 +22,10 @@ OUTPUT_HELP = re.compile(r"((?:\w+\.\w+)(?: or \w+\.\w+)*) to write")
 
 @cache
 def list_outputs() -> dict[str, tuple[tuple[str, ...], ...]]:
-    """Return the possible file names of each output option of a subcommand, by the name of the subcommand.
+    """Return the output files of each subcommand, by its name; subcommands without output files are omitted.
 
-    The first name of an option is written by the rule named like the subcommand, the others by variants of this rule.
+    A subcommand has one tuple of file names for each option that names an output file. The first file name is that of
+    the rule named like the subcommand, the others are those of its variants.
     """
     outputs = {}
     for path in sorted((PACKAGE / "cli").glob("*.py")):
@@ -61,12 +63,12 @@ def find_rule(results: Path, file: str) -> Rule | None:
     Returns
     -------
     Rule or None
-        None if no subcommand writes a file of this name. If several do, the one with the largest share of its
-        outputs in the same folder is chosen.
+        None if no subcommand writes a file of this name. If several subcommands do, the one with the largest share of
+        its outputs in the folder of the file is chosen.
     """
     path = results / file
     candidates = [
-        (_count_present(path, options), command)
+        (_share_of_present_outputs(path, options), command)
         for command, options in list_outputs().items()
         if any(path.name in names for names in options)
     ]
@@ -79,10 +81,10 @@ def find_rule(results: Path, file: str) -> Rule | None:
     return Rule("_".join([command, *filter(None, suffixes)]), command)
 
 
-def _count_present(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[float, int]:
-    """Return the share of a subcommand's outputs that are in the folder of a file, and the number of outputs.
+def _share_of_present_outputs(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[float, int]:
+    """Return (share of the outputs of a subcommand that exist in the folder of the file `path`, number of outputs).
 
-    `options` holds the possible file names of each output.
+    `options` are the outputs of the subcommand as `list_outputs` returns them.
     """
     is_present = [any(path.with_name(name).exists() for name in names) for names in options]
     return sum(is_present) / len(is_present), len(is_present)
@@ -91,18 +93,28 @@ def _count_present(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[fl
 def read_source(results: Path, file: str, attributes: Mapping[str, Any]) -> Source | None:
     """Return the provenance of a result file; None if no rule writes it.
 
-    The inputs, the code version and the time are recorded in the netCDF `attributes` of the file, or else in its note
-    in the folder `.runs`.
+    Parameters
+    ----------
+    results : Path
+        Results folder of a dataset.
+    file : str
+        Path of the file in that folder.
+    attributes : mapping
+        netCDF attributes of the file; empty for a file of another format. A file of another format has its provenance
+        in `.runs/<name>.json` in the same folder.
     """
     rule = find_rule(results, file)
     if rule is None:
         return None
-    note = (results / file).parent / ".runs" / f"{Path(file).name}.json"
-    record = (json.loads(note.read_text(encoding="utf-8")) if note.is_file() else {}) | dict(attributes)
+    json_file = (results / file).parent / ".runs" / f"{Path(file).name}.json"
+    record = (json.loads(json_file.read_text(encoding="utf-8")) if json_file.is_file() else {}) | dict(attributes)
     inputs, code, written = (str(record.get(name, "")) for name in ("inputs", "code_version", "written"))
     return Source(file, rule.name, rule.command, parse_inputs(inputs), code, written)
 
 
 def parse_inputs(text: str) -> tuple[Input, ...]:
-    """Return the inputs in the attribute `inputs` of a result file, such as "crops.nc 10c624ef4d826b7e; …"."""
+    """Return the input files that the attribute `inputs` of a result file lists.
+
+    `text` has the name and the digest of each input: "crops.nc 10c624ef4d826b7e; fits.nc 88d1…".
+    """
     return tuple(Input(*item.rsplit(" ", 1)) for item in text.split("; ") if item)
