@@ -10,7 +10,7 @@ import pytest
 
 from spotcheck.dataset.instrument import read_instrument
 from spotcheck.discrepancy.written import breach_of_verdict
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from tests.conftest import ROOT
 
 DATASET, RESULTS = ROOT / "data" / "virtual-rig", ROOT / "results" / "virtual-rig"
@@ -64,7 +64,7 @@ def test_p1_and_p2_agree_with_the_truth_within_their_errors(verdict, truth):
     instrument = read_instrument(DATASET / "instrument.yaml")
     sites = [site for site in truth["sites"] if site["kind"] == "spot"]
     widths = [np.sqrt(site["sigma_long_px"] * site["sigma_short_px"]) for site in sites]
-    p2 = np.mean(widths) - of_instrument(instrument, (1e-4, 9e-4)).laser_px
+    p2 = np.mean(widths) - build_baseline(instrument, (1e-4, 9e-4)).laser_px
     for name, true in (("p1", 0.0), ("p2", p2)):
         row = verdict["baseline_shift"][name]
         assert abs(row["after"] - true) < 4 * row["stderr"], name

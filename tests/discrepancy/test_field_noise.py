@@ -13,7 +13,7 @@ from spotcheck.discrepancy.frames import LightField, select_pixels
 from spotcheck.discrepancy.joint_fit import fit_jointly
 from spotcheck.discrepancy.residuals import measure_residuals
 from spotcheck.discrepancy.shape_grid import ShapeGrid
-from spotcheck.discrepancy.spot_numbers import numbers_of_fit
+from spotcheck.discrepancy.spot_measurements import measure_spots
 from spotcheck.model.effects import vocabulary
 from tests.samples.drawn_frames import DrawnLight, draw_frames, lay_out
 from tests.samples.models_of_frames import SCALES, frame_set, starting_model
@@ -41,12 +41,12 @@ def test_scatter_of_spots_under_granular_light_is_predicted(has_shape: bool):
     frames = replace(frames, light_field=light_field)
     start = first.model.with_free_shape(ShapeGrid()) if has_shape else first.model
     fit = fit_jointly(start, select_pixels(frames, first.model.spots))
-    numbers = numbers_of_fit(fit, covariance_by_field(fit, frames, grains))
-    assert np.linalg.eigvalsh(numbers.covariance)[0] > 0
+    measurements = measure_spots(fit, covariance_by_field(fit, frames, grains))
+    assert np.linalg.eigvalsh(measurements.covariance)[0] > 0
     site = drawn.conditions.site
     for parameter, values in ((0, fit.model.spots.log_peak - np.log(drawn.peak_dn)),
                               (1, fit.model.spots.log_sigma - np.log(drawn.sigma_px))):  # fmt: skip
-        covariance = numbers.covariance_of(parameter)
+        covariance = measurements.covariance_of(parameter)
         means, differences = [], []
         for number in np.unique(site):
             members = np.flatnonzero(site == number)
@@ -62,8 +62,8 @@ def test_scatter_of_spots_under_granular_light_is_predicted(has_shape: bool):
     if has_shape:
         return
     # Without what the frames share, means scatter far more than the fit says.
-    plain = numbers_of_fit(fit).covariance
-    assert np.mean(np.diag(numbers.covariance)[::4]) > 3 * np.mean(np.diag(plain)[::4])
+    plain = measure_spots(fit).covariance
+    assert np.mean(np.diag(measurements.covariance)[::4]) > 3 * np.mean(np.diag(plain)[::4])
 
 
 def test_dispersion_of_an_effect_is_that_of_its_score():

@@ -10,7 +10,7 @@ from spotcheck.discrepancy.frames import FrameParameters, FrameSet
 from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.nested_models import ValidatedChain
 from spotcheck.discrepancy.normal_equations import invert_information
-from spotcheck.discrepancy.spot_numbers import SpotNumbers
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.discrepancy.validation import FrameScatter, NestedModel, Prediction, predict_frames
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect
@@ -59,9 +59,9 @@ def fit_law(fitted: DrawnFrames, effects: tuple[AppliedEffect, ...], laws: tuple
     assert fit.has_converged
     count = 4 * len(fitted.x)
     covariance = invert_information(fit.equations.information)[:count, :count]
-    numbers = SpotNumbers(fit.model.design, fit.model.spots, covariance)
+    measurements = SpotMeasurements(fit.model.design, fit.model.spots, covariance)
     sensor = fit.model.forward.sensor
-    law_fit = LawSearch(numbers, ForwardModel(BASELINE, sensor), SCALES).fit([vocabulary()[name] for name in laws])
+    law_fit = LawSearch(measurements, ForwardModel(BASELINE, sensor), SCALES).fit([vocabulary()[name] for name in laws])
     return ForwardModel(BASELINE, SENSOR, law_fit.law, (*fit.model.forward.effects, *law_fit.effects))
 
 

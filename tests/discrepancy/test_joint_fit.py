@@ -68,7 +68,7 @@ def test_gradient_is_minus_half_the_derivative_of_the_deviance(applied: AppliedE
     equations = assemble(model, pixels)
     deviation = np.sqrt(np.diag(equations.information))
     # All four parameters of the first frame, two of the last one, then sensor and effect.
-    count = 4 * equations.frames
+    count = 4 * equations.frame_count
     for index in (0, 1, 2, 3, count - 4, count - 3, *range(count, equations.size)):
         step = 0.01 / deviation[index]
         above, below = (assemble(move_parameter(model, index, sign * step), pixels).deviance for sign in (1, -1))

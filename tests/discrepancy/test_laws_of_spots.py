@@ -8,7 +8,7 @@ from scipy import stats
 
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw, find_laws, is_law
-from spotcheck.discrepancy.spot_numbers import SpotNumbers
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from tests.samples import drawn_frames as drawing
@@ -25,8 +25,8 @@ def search_of(numbers: DrawnNumbers) -> LawSearch:
     """Return the search for laws of drawn numbers."""
     nowhere = np.zeros(len(numbers.log_peak))
     spots = FrameParameters(numbers.log_peak, numbers.log_sigma, nowhere, nowhere)
-    spot_numbers = SpotNumbers(design_of(numbers.conditions), spots, numbers.covariance)
-    return LawSearch(spot_numbers, ForwardModel(BASELINE, SENSOR), SCALES)
+    measurements = SpotMeasurements(design_of(numbers.conditions), spots, numbers.covariance)
+    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES)
 
 
 def find_in(numbers: DrawnNumbers) -> tuple[list[NamedLaw], list[tuple[str, ...]], LawFit]:

@@ -12,7 +12,7 @@ from spotcheck.discrepancy.metric_changes import compare_metrics
 from spotcheck.discrepancy.named_scatter import NamedScatter
 from spotcheck.discrepancy.nested_models import ValidatedChain, validate_chain
 from spotcheck.discrepancy.normal_equations import invert_information
-from spotcheck.discrepancy.spot_numbers import SpotNumbers
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.discrepancy.validation import FrameScatter, NestedModel, PixelGains, Prediction
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.forward import ForwardModel
@@ -123,8 +123,8 @@ def fit_law(fitted: DrawnFrames, *effects: AppliedEffect) -> ForwardModel:
     fit = fit_drawn(fitted, *effects)
     count = 4 * len(fitted.x)
     covariance = invert_information(fit.equations.information)[:count, :count]
-    numbers = SpotNumbers(fit.model.design, fit.model.spots, covariance)
-    law = LawSearch(numbers, ForwardModel(BASELINE, SENSOR), SCALES).fit([]).law
+    measurements = SpotMeasurements(fit.model.design, fit.model.spots, covariance)
+    law = LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES).fit([]).law
     return ForwardModel(BASELINE, SENSOR, law, fit.model.forward.effects)
 
 

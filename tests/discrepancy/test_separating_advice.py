@@ -19,7 +19,7 @@ from spotcheck.discrepancy.criteria import MIN_GAIN
 from spotcheck.discrepancy.findings import NamedEffect
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.laws import LawSearch
-from spotcheck.discrepancy.spot_numbers import SpotNumbers
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from tests.samples import drawn_frames as drawing
@@ -127,8 +127,8 @@ def search_of(numbers: DrawnNumbers) -> LawSearch:
     """Return the search for laws of drawn numbers."""
     nowhere = np.zeros(len(numbers.log_peak))
     spots = FrameParameters(numbers.log_peak, numbers.log_sigma, nowhere, nowhere)
-    spot_numbers = SpotNumbers(design_of(numbers.conditions), spots, numbers.covariance)
-    return LawSearch(spot_numbers, ForwardModel(BASELINE, SENSOR), SCALES)
+    measurements = SpotMeasurements(design_of(numbers.conditions), spots, numbers.covariance)
+    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES)
 
 
 def grow_by_power(conditions: Conditions) -> np.ndarray:

@@ -19,7 +19,7 @@ from spotcheck.discrepancy.limits import find_limits, limit_laws, limit_mean_eff
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import NamedScatter, deviation_of_fluctuation, name_scatter
 from spotcheck.discrepancy.shape_grid import ShapeGrid
-from spotcheck.discrepancy.spot_numbers import SpotNumbers
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.model.effect import Need, Scope
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
@@ -189,8 +189,8 @@ def search_of(numbers: DrawnNumbers) -> LawSearch:
     """Return the search for laws of drawn numbers."""
     nowhere = np.zeros(len(numbers.log_peak))
     spots = FrameParameters(numbers.log_peak, numbers.log_sigma, nowhere, nowhere)
-    spot_numbers = SpotNumbers(design_of(numbers.conditions), spots, numbers.covariance)
-    return LawSearch(spot_numbers, ForwardModel(BASELINE, SENSOR), models_of_frames.SCALES)
+    measurements = SpotMeasurements(design_of(numbers.conditions), spots, numbers.covariance)
+    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), models_of_frames.SCALES)
 
 
 def follow_angle(strength: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.fitting.likelihood import SiteFrame, fit_baseline
 from spotcheck.fitting.width_law import WidthLaw, fit_simulated_widths
 from spotcheck.io import store
-from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.baseline import Baseline, build_baseline
 from spotcheck.model.conditions import PixelGrid
 from spotcheck.model.forward import ForwardModel
 from spotcheck.sensor import SensorModel
@@ -108,4 +108,4 @@ def test_the_key_goes_with_no_top_hat(tmp_path):
     with pytest.raises(InputError, match=r"keys optics\.pixel_integration and model\.top_hat are both true"):
         load(folder(tmp_path / "a", ["frames/a.tif,spot,0,1e-3,0"], KEY + "model: {top_hat: true}"))
     found = load(folder(tmp_path / "b", ["frames/a.tif,spot,0,1e-3,0"], ""))
-    assert of_instrument(found.instrument, found.exposures).pixel_integration is False
+    assert build_baseline(found.instrument, found.exposures).pixel_integration is False

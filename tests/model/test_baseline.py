@@ -31,12 +31,12 @@ def test_spot_sigma_adds_the_laser(instrument):
     laser = propagation.laser_sigma_px(0.0502 / 0.25, (72.8e-6 + 80.4e-6) / 2 / math.sqrt(8 * math.log(2)), 5.5e-6)
     assert laser == pytest.approx(1.19, abs=0.005)
     np.testing.assert_allclose(propagation.spot_sigma(np.array([10.0, 0.0]), laser), [10 + laser, laser], rtol=1e-14)
-    assert baseline.of_instrument(instrument, EXPOSURES).laser_px == pytest.approx(laser, rel=1e-12)
+    assert baseline.build_baseline(instrument, EXPOSURES).laser_px == pytest.approx(laser, rel=1e-12)
 
 
 def test_contrast_of_the_published_spot(instrument):
     """Eqs. 7–8 give the published C_s of 5.2 … 3.5 for a Gaussian on 240 × 240 px, with the closed form of C_s."""
-    model = baseline.of_instrument(instrument, EXPOSURES)
+    model = baseline.build_baseline(instrument, EXPOSURES)
     for t, printed in ((1e-4, 5.2), (9e-4, 3.5)):
         sigma = model.sigma(t, P1, P2)
         image = gaussian(240, 1.0, 120, 120, sigma)
@@ -184,5 +184,5 @@ def test_without_optics_the_laser_counts_as_nothing():
     """And without exposures no law in t holds."""
     from spotcheck.dataset.instrument import Instrument
 
-    assert baseline.of_instrument(Instrument(), EXPOSURES).laser_px == 0
-    assert baseline.of_instrument(Instrument(), ()).photon_budget == "free"
+    assert baseline.build_baseline(Instrument(), EXPOSURES).laser_px == 0
+    assert baseline.build_baseline(Instrument(), ()).photon_budget == "free"

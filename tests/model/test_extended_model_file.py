@@ -11,7 +11,7 @@ from spotcheck.discrepancy.extended_model import FinalModel, build_extended_mode
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect, ParameterValue
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.laws import LawSearch
-from spotcheck.discrepancy.spot_numbers import SpotNumbers, numbers_of_fit
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements, measure_spots
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect
@@ -210,8 +210,8 @@ def search_of(factor: np.ndarray | float = 1.0) -> LawSearch:
     drawn = draw_numbers(5, conditions, peak_factor=factor)
     nowhere = np.zeros(len(conditions))
     spots = FrameParameters(drawn.log_peak, drawn.log_sigma, nowhere, nowhere)
-    numbers = SpotNumbers(design_of(conditions), spots, drawn.covariance)
-    return LawSearch(numbers, ForwardModel(BASELINE, SENSOR), SCALES)
+    measurements = SpotMeasurements(design_of(conditions), spots, drawn.covariance)
+    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES)
 
 
 def test_the_law_beside_fitted_laws_is_that_of_their_fit():
@@ -256,7 +256,7 @@ def analysed() -> Analysed:
         unseen_spots=starting_spots(drawn).select(unseen),
         setting=SimpleNamespace(baseline=BASELINE, sensor=SENSOR),
     )
-    search = LawSearch(numbers_of_fit(fit), ForwardModel(BASELINE, SENSOR), SCALES)
+    search = LawSearch(measure_spots(fit), ForwardModel(BASELINE, SENSOR), SCALES)
     selected = SimpleNamespace(fit=fit)
     return Analysed(drawn, SimpleNamespace(prepared=prepared, selected=selected, shape=None, search=search))
 

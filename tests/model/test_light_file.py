@@ -12,7 +12,7 @@ from spotcheck.cli import main
 from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
 from spotcheck.io import store
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.model.design import simulate_dataset
 from spotcheck.model.light_shape import LIGHT, LightShape, read_light, read_lights
 from spotcheck.model.model_file import ExtendedModel, read_model
@@ -208,7 +208,7 @@ def test_simulated_frames_follow_the_instrument(tmp_path):
     follows(tmp_path / "out", simulated(found, PLAIN, tmp_path / "out"))
     again = dataset.load(tmp_path / "out")
     assert again.instrument.light.profile == str(tmp_path / "out" / LIGHT)
-    learned = of_instrument(again.instrument, again.exposures).learned
+    learned = build_baseline(again.instrument, again.exposures).learned
     assert learned is not None
     np.testing.assert_array_equal(learned.coefficients, SHAPE.coefficients)
 
@@ -255,4 +255,4 @@ def test_a_bad_profile_is_said_before_anything_runs(text, words, tmp_path, capsy
 
 def test_without_a_profile_nothing_is_known():
     """An empty section is none."""
-    assert of_instrument(dataset.Instrument(), []).learned is None
+    assert build_baseline(dataset.Instrument(), []).learned is None

@@ -177,17 +177,19 @@ def test_a_file_may_hold_what_it_needs(tmp_path):
 
 def test_the_record_of_a_vocabulary(tmp_path):
     """Nothing for the library's own; else names, files and digests of what was added, and what was left out."""
-    assert effects.record() == {}
+    assert effects.describe_vocabulary() == {}
     path = written(tmp_path, "lens", SOUND)
     digest = hashlib.sha256(SOUND.encode()).hexdigest()
     with knowing(path, without=["row_noise", "smear"]):
-        assert effects.record() == {
+        assert effects.describe_vocabulary() == {
             "own": [{"name": "vignetting", "file": "lens.py", "sha256": digest}],
             "left_out": ["row_noise", "smear"],
         }
     with knowing(path, only=["smear"]):
         # An effect of one's own may be left out as well.
-        assert effects.record()["own"] == [] and effects.record()["left_out"][-1] == "vignetting"
+        assert (
+            effects.describe_vocabulary()["own"] == [] and effects.describe_vocabulary()["left_out"][-1] == "vignetting"
+        )
 
 
 def test_processes_that_are_started_know_the_same_effects(tmp_path):
@@ -195,7 +197,7 @@ def test_processes_that_are_started_know_the_same_effects(tmp_path):
     with knowing(written(tmp_path, "lens", SOUND), without=["smear"]):
         start = {"initializer": effects.choose, "initargs": (effects.chosen(),)}
         with ProcessPoolExecutor(1, mp_context=get_context("spawn"), **start) as pool:
-            assert pool.submit(effects.record).result() == effects.record() != {}
+            assert pool.submit(effects.describe_vocabulary).result() == effects.describe_vocabulary() != {}
 
 
 # Files of results.
@@ -237,17 +239,17 @@ def test_stages_must_know_the_same_effects(tmp_path):
     path = written(tmp_path, "lens", SOUND)
     with knowing(path, without=["smear"]):
         saved = options.describe_difference()
-        options.check_same(saved, "verdict.json")
-    options.check_same({}, "verdict.json")
+        options.check_same_vocabulary(saved, "verdict.json")
+    options.check_same_vocabulary({}, "verdict.json")
     for files, without in (((), ()), ((path,), ()), ((), ("smear",))):
         with (
             knowing(*files, without=without),
             pytest.raises(InputError, match=r"verdict\.json: was found with .*vignetting of lens\.py .*without smear"),
         ):
-            options.check_same(saved, "verdict.json")
+            options.check_same_vocabulary(saved, "verdict.json")
     path.write_text(SOUND + "\n", encoding="utf-8")
     with knowing(path, without=["smear"]), pytest.raises(InputError, match="the same --effects"):
-        options.check_same(saved, "verdict.json")
+        options.check_same_vocabulary(saved, "verdict.json")
 
 
 # Configuration and command line.

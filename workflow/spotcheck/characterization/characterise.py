@@ -32,8 +32,10 @@ class Characterisation(Mapping[str, Quantity]):
 
     Parameters
     ----------
-    transfer : photon transfer of the flats and darks.
-    title, name : title and folder name of the dataset, for the table and for transfer.nc.
+    transfer : Transfer
+        Photon transfer of the flats and darks.
+    title, name : str
+        Title and folder name of the dataset, for the table and for transfer.nc.
 
     Attributes
     ----------
@@ -98,14 +100,20 @@ def characterise_sensor(
 
     Parameters
     ----------
-    bright : levels of light, each [frame, row, column] in DN with two frames or more of the same light; or all levels
-        in one array [level, frame, row, column].
-    dark : dark levels in the same form, one for each exposure.
-    exposure_s : exposure of each level of light [s], or one number for all.
-    photons : mean number of photons on a pixel during the exposure, for each level of light, or one number for all.
-        Without it quantum efficiency and responsivity are unknown, and linearity is that over exposure.
-    bit_depth : bits of the converter, whose largest reading is 2^bit_depth − 1.
-    dark_exposure_s : exposure of each dark level [s]. It may be left out if the exposures are those of `bright`.
+    bright : sequence of array_like
+        Levels of light, each [frame, row, column] in DN with two frames or more of the same light; or all levels in one
+        array [level, frame, row, column].
+    dark : sequence of array_like
+        Dark levels in the same form, one for each exposure.
+    exposure_s : float or array_like
+        Exposure of each level of light [s], or one number for all.
+    photons : float or array_like, optional
+        Mean number of photons on a pixel during the exposure, for each level of light, or one number for all. Without
+        it quantum efficiency and responsivity are unknown, and linearity is that over exposure.
+    bit_depth : int
+        Bits of the converter, whose largest reading is 2^bit_depth − 1.
+    dark_exposure_s : float or array_like, optional
+        Exposure of each dark level [s]. It may be left out if the exposures are those of `bright`.
 
     Returns
     -------
@@ -202,8 +210,10 @@ def analyse_ingested_frames(dataset: Dataset, full_scale_dn: float) -> Transfer:
 
     Parameters
     ----------
-    dataset : dataset without the frames that are copies or have keep = no, see `exclude_copies`.
-    full_scale_dn : largest reading of the converter [DN].
+    dataset : Dataset
+        Dataset without the frames that are copies or have keep = no, see `exclude_copies`.
+    full_scale_dn : float
+        Largest reading of the converter [DN].
 
     Returns
     -------

@@ -158,8 +158,8 @@ def _are_photons_per_second(flats: Sequence[Level], signal: np.ndarray) -> bool:
 def differ_significantly(first: SourceValue, second: SourceValue, factor: float) -> bool:
     """Return whether two values differ by more than `MAX_PULL` combined standard errors and by more than a factor.
 
-    Both values have the same unit. An unknown standard error (NaN) counts as 0. The factor does not limit if the
-    smaller value is 0 or negative.
+    Both values have the same unit. An unknown standard error (NaN) counts as 0. If the smaller value is 0 or negative,
+    the standard errors alone decide.
     """
     error = float(np.hypot(np.nan_to_num(first.stderr), np.nan_to_num(second.stderr)))
     low, high = sorted((first.value, second.value))

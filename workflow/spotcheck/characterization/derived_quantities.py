@@ -34,15 +34,15 @@ NO_PHOTONS = "photons_per_px is not given for the flats"
 
 
 def set_dark_quantities(
-    quantities: QuantityTable, darks: Sequence[Level], noisy_darks: Sequence[Level], remarks: list[str]
+    quantities: QuantityTable, darks: Sequence[Level], repeated_darks: Sequence[Level], remarks: list[str]
 ) -> None:
-    """Enter the dark offset and the dark noise [DN] at exposure 0 (section 8.1).
+    """Enter `dark_offset` and `dark_noise_dn`, mean [DN] and noise [DN] of darks at exposure 0 (section 8.1).
 
     Parameters
     ----------
     quantities : table to which the quantities are added.
     darks : all dark levels; without any, nothing is entered.
-    noisy_darks : the dark levels of two frames or more, which have a temporal variance.
+    repeated_darks : the dark levels of two frames or more, which have a temporal variance.
     remarks : list to which sentences on faults of the darks are appended.
     """
     if not darks:
@@ -51,9 +51,9 @@ def set_dark_quantities(
     if part_at_zero > MAX_PART_AT_ZERO:
         remarks.append(f"{100 * part_at_zero:.2g} % of the pixels of a dark read 0: part of the noise is cut off")
     quantities.set("dark_offset", *_extrapolate_to_no_exposure(darks, "mean"))
-    if not noisy_darks:
+    if not repeated_darks:
         return
-    variance, error = _extrapolate_to_no_exposure(noisy_darks, "variance")
+    variance, error = _extrapolate_to_no_exposure(repeated_darks, "variance")
     if variance < MIN_DARK_VARIANCE:
         remarks.append(
             f"the noise of the darks, {np.sqrt(max(variance, 0.0)):.2g} DN, is below that of rounding: the dark noise"
@@ -72,17 +72,18 @@ def _extrapolate_to_no_exposure(darks: Sequence[Level], field: str) -> tuple[flo
     return extrapolate_to_zero(*(collect_field(darks, name) for name in ("exposure_s", field, f"{field}_error")))
 
 
-def set_dark_electrons(quantities: QuantityTable, noisy_darks: Sequence[Level]) -> None:
-    """Enter dark noise [e-] and dark current [e-/s]; gain and dark noise [DN] must be in the table.
+def set_dark_electrons(quantities: QuantityTable, repeated_darks: Sequence[Level]) -> None:
+    """Enter `dark_noise` [e-], and `dark_current` and `dark_current_by_variance` [e-/s].
 
-    `noisy_darks` are the dark levels of two frames or more. Fewer than three exposures leave the dark current unknown.
+    Gain and dark noise [DN] must be in the table. `repeated_darks` are the dark levels of two frames or more. With
+    fewer than three exposures, the dark current is unknown.
     """
     gain, noise_dn = quantities["gain"], quantities["dark_noise_dn"]
     unrounded_dn = np.sqrt(max(noise_dn.value**2 - ROUNDING_VARIANCE, 0.0))
     noise = unrounded_dn / gain.value
     noise_error = noise_dn.value * noise_dn.stderr / max(unrounded_dn, MIN_NOISE_DN) / gain.value
     quantities.set("dark_noise", noise, np.hypot(noise_error, noise * gain.stderr / gain.value))
-    darks = [dark for dark in noisy_darks if np.isfinite(dark.exposure_s)]
+    darks = [dark for dark in repeated_darks if np.isfinite(dark.exposure_s)]
     exposures_s = collect_field(darks, "exposure_s")
     if len(np.unique(exposures_s)) < MIN_POINTS:
         quantities.set_unknown(("dark_current", "dark_current_by_variance"), "fewer than three exposures of darks")
@@ -129,7 +130,10 @@ def set_light_quantities(
 def _set_sensitivity(
     quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, is_in_gain_fit: np.ndarray
 ) -> None:
-    """Enter responsivity, quantum efficiency and sensitivity thresholds (section 8.2), see `set_light_quantities`."""
+    """Enter `responsivity`, `quantum_efficiency`, `threshold` and `threshold_photons` (section 8.2).
+
+    Arguments are those of `set_light_quantities`. Without photon numbers only the threshold [e-] is known.
+    """
     # Dark noise in electrons with the noise of rounding, which also limits the detection of light.
     noise, noise_error = divide(quantities["dark_noise_dn"], quantities["gain"])
     # The threshold μ [e-] is the signal that equals its noise: μ² = σ² + μ, so μ = ½ + √(σ² + ¼).
@@ -147,7 +151,7 @@ def _set_sensitivity(
 
 
 def _set_saturation(quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, saturated: int) -> None:
-    """Enter saturation, full well, largest signal-to-noise ratio and dynamic range (section 8.3).
+    """Enter `saturation_dn`, `saturation_photons`, `full_well`, `snr_max` and `dynamic_range` (section 8.3).
 
     `signal` [flat] is in DN, `saturated` is the index of the flat at saturation. Gain, quantum efficiency and threshold
     must be in the table; the efficiency may be unknown.
@@ -185,8 +189,9 @@ def _estimate_step_error(values: np.ndarray, index: int) -> float:
 
 
 def _set_linearity(quantities: QuantityTable, flats: Sequence[Level], signal: np.ndarray, noisiest: int) -> None:
-    """Enter mean, lowest and highest deviation [%] of the signal from a straight line over the light (section 8.4).
+    """Enter `linearity_error`, `linearity_lowest` and `linearity_highest` (section 8.4).
 
+    They are mean (of absolute values), lowest and highest relative deviation [%] of the signal from a straight line.
     The line has the least relative squares between 5 and 95 % of the signal of the flat `noisiest`, which is
     saturation or the brightest flat. `signal` [flat] is in DN.
     """
@@ -209,8 +214,9 @@ def _set_linearity(quantities: QuantityTable, flats: Sequence[Level], signal: np
 
 
 def _set_nonuniformity(quantities: QuantityTable, flat: Level, signal: float, darks: Sequence[Level]) -> None:
-    """Enter DSNU [e-] of all darks, and PRNU [%] of a flat near half of saturation (section 8.3).
+    """Enter `dsnu` [e-] of all darks and `prnu` [%] of a flat near half of saturation, with parts (section 8.3).
 
+    The parts are those by columns, rows and pixels: `dsnu_column`, `prnu_pixel` and so on.
     DSNU is the rms of the dark pattern. PRNU² is the variance of the flat's pattern less that of the darks, relative to
     the `signal` of the flat over its dark [DN]. `darks` may hold a level several times.
     """

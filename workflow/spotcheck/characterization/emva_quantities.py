@@ -1,6 +1,7 @@
 """Quantities of EMVA 1288: symbols, units and meanings, and the values of one sensor with their standard errors.
 
-A quantity without a value has the reason why it is unknown.
+A quantity without a value has the reason why it is unknown. The functions of `derived_quantities` that compute them
+cite the sections of the standard.
 """
 
 from collections.abc import Iterable

@@ -220,8 +220,9 @@ def _estimate_noise(blocks: np.ndarray) -> np.ndarray:
 def _remove_motion(residual: np.ndarray, motion_effects: np.ndarray) -> np.ndarray:
     """Return residuals [block, pixel] in DN without the effect of one motion of the light that all blocks share.
 
-    `motion_effects` [axis, block, pixel] is the change of the residuals per pixel of motion down and right [DN/px]. All
-    that was removed from the residuals must be removed from it. The motion is fitted by weighted least squares.
+    `motion_effects` [axis, block, pixel] is the change of the residuals per pixel of motion down and right [DN/px]. If
+    the residuals are a projection, such as that without a quadratic, it must be projected in the same way. The motion
+    is fitted by weighted least squares.
     """
     # The derivative of y₂ by the motion is r times the slope of y₁. The factor r is left out: it only scales the fitted
     # motion if it is the same in all blocks, as it nearly is.

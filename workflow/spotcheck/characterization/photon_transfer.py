@@ -89,15 +89,16 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
     remarks: list[str] = []
     darks = _select_darks([level for level in levels if level.kind == "dark"], full_scale_dn, remarks)
     flats = _select_flats([level for level in levels if level.kind == "flat"], remarks)
-    noisy_darks = [dark for dark in darks if dark.frames > 1]
+    # Only these have a temporal variance.
+    repeated_darks = [dark for dark in darks if dark.frames > 1]
     quantities = QuantityTable()
-    set_dark_quantities(quantities, darks, noisy_darks, remarks)
-    if not flats or not noisy_darks:
+    set_dark_quantities(quantities, darks, repeated_darks, remarks)
+    if not flats or not repeated_darks:
         quantities.fill_unknown("there are no flats in pairs" if not flats else "there are no dark frames in pairs")
         empty = np.zeros(0)
         return Transfer(flats, darks, empty, empty, empty, empty.astype(bool), None, quantities, remarks)
     # Signal and excess variance of each flat over the dark of the nearest exposure.
-    paired_darks = [_find_nearest_dark(noisy_darks, flat.exposure_s) for flat in flats]
+    paired_darks = [_find_nearest_dark(repeated_darks, flat.exposure_s) for flat in flats]
     pairs = list(zip(flats, paired_darks, strict=True))
     signal = np.array([flat.mean - dark.mean for flat, dark in pairs])
     excess = np.array([flat.variance - dark.variance for flat, dark in pairs])
@@ -132,7 +133,7 @@ def _analyse_levels(levels: Sequence[Level], full_scale_dn: float) -> Transfer:
         # Noise that does not grow with the light shows no saturation either.
         return replace(transfer, saturation=None)
     quantities.set("gain", gain, gain_error)
-    set_dark_electrons(quantities, noisy_darks)
+    set_dark_electrons(quantities, repeated_darks)
     set_light_quantities(quantities, flats, paired_darks, signal, is_in_gain_fit, noisiest, is_saturated)
     return replace(transfer, is_in_gain_fit=is_in_gain_fit)
 

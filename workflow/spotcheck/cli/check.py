@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> None:
     frame_format = check_dataset(dataset)
     # Called for its check only: it raises `InputError` if the file that instrument.yaml names as `light.profile`, the
     # shape of the light, cannot be read.
-    baseline.of_instrument(dataset.instrument, dataset.exposures)
+    baseline.build_baseline(dataset.instrument, dataset.exposures)
     kinds = ", ".join(f"{sum(frame.kind == kind for frame in dataset.frames)} {kind}" for kind in KINDS)
     rows, columns = frame_format.shape
     print(f"{dataset.name}: {kinds} frames of {columns} × {rows} px, {frame_format.bits} bit: in order")

@@ -50,24 +50,26 @@ def describe_difference() -> dict[str, Any]:
 
     The result is merged into files of results; it is {} for the library's vocabulary.
     """
-    difference = effects.record()
+    difference = effects.describe_vocabulary()
     return {"vocabulary": difference} if difference else {}
 
 
-def check_same(saved: Mapping[str, Any], name: str) -> None:
+def check_same_vocabulary(saved: Mapping[str, Any], name: str) -> None:
     """Raise `InputError` if an earlier stage wrote a file of results with another vocabulary than that of this process.
 
-    `saved` is the content of the file, `name` its path for the message.
+    `saved` is the content of the file, `name` its path for the message. Vocabularies are described by their differences
+    from the library's.
     """
-    if saved.get("vocabulary", {}) != effects.record():
+    earlier, present = saved.get("vocabulary", {}), effects.describe_vocabulary()
+    if earlier != present:
         raise InputError(
-            f"{name}: was found with {_format(saved.get('vocabulary', {}))}, but this is {_format(effects.record())};"
-            " give every stage the same --effects, --only and --without"
+            f"{name}: was found with {_format(earlier)}, but this is {_format(present)}; give every stage the same"
+            " --effects, --only and --without"
         )
 
 
 def _format(difference: Mapping[str, Any]) -> str:
-    """Return a vocabulary in words, from its `difference` to the library's as `effects.record` gives it.
+    """Return a vocabulary in words, from its `difference` to the library's as `effects.describe_vocabulary` gives it.
 
     The key `own` has the name, file and digest of each added effect, `left_out` the names of missing ones.
     """

@@ -39,11 +39,15 @@ def judge_dataset(
 
     Parameters
     ----------
-    folder : dataset folder, with manifest.csv, instrument.yaml and frames.
-    results : folder of results. All files go to a folder in it that is named like the dataset, among them verdict.json,
+    folder : str or Path
+        Dataset folder, with manifest.csv, instrument.yaml and frames.
+    results : str or Path, optional
+        Folder of results. All files go to a folder in it that is named like the dataset, among them verdict.json,
         model.yaml (which `simulate_dataset` takes) and discrepancy.nc. By default everything is temporary.
-    effects : Python files that each add an effect to the vocabulary (docs/effects.md, "Adding an effect").
-    only, without : the only effects to know, or effects to leave out, by name.
+    effects : sequence of str or Path
+        Python files that each add an effect to the vocabulary (docs/effects.md, "Adding an effect").
+    only, without : sequence of str
+        The only effects to know, or effects to leave out, by name.
 
     Returns
     -------

@@ -27,6 +27,6 @@ def run(args: argparse.Namespace) -> None:
     effect_options.apply_options(args)
     verdict_path = args.results / "verdict.json"
     if verdict_path.exists():
-        effect_options.check_same(json.loads(verdict_path.read_text(encoding="utf-8")), str(verdict_path))
+        effect_options.check_same_vocabulary(json.loads(verdict_path.read_text(encoding="utf-8")), str(verdict_path))
     write_report(folder.load(args.dataset), args.results, args.output)
     print(f"{args.output}: {args.output.stat().st_size / 1e6:.1f} MB")

@@ -60,14 +60,21 @@ class FrameWorth:
     information: np.ndarray  # M [parameter, parameter]
 
     def growth(self, frames: int, known: np.ndarray) -> float:
-        """Return the increase of −2 ln L of the rival by `frames` frames; `known` is the information I so far."""
-        solved = np.linalg.lstsq(known + frames * self.information, self.score, rcond=None)[0]
-        return float(frames * self.square - frames**2 * self.score @ solved)
+        """Return the increase of −2 ln L of the rival by `frames` new frames.
+
+        `known` is the information I of the present frames on the parameters of the rival [parameter, parameter].
+        """
+        # (I + n M)⁻¹ c
+        solution = np.linalg.lstsq(known + frames * self.information, self.score, rcond=None)[0]
+        return float(frames * self.square - frames**2 * self.score @ solution)
 
     def frames_needed(self, known: np.ndarray) -> int:
-        """Return the least number of frames with a growth of `MIN_GAIN`, or `MOST_FRAMES` + 1 if more are needed."""
-        numbers = range(1, MOST_FRAMES + 1)
-        return next((n for n in numbers if self.growth(n, known) >= MIN_GAIN), MOST_FRAMES + 1)
+        """Return the least number of new frames by which −2 ln L of the rival grows by `MIN_GAIN`.
+
+        `known` is that of `growth`. `MOST_FRAMES` + 1 is returned if more frames than `MOST_FRAMES` are needed.
+        """
+        counts = range(1, MOST_FRAMES + 1)
+        return next((count for count in counts if self.growth(count, known) >= MIN_GAIN), MOST_FRAMES + 1)
 
 
 # Function that returns the worth of a frame of a condition; None if its readings might clip or cannot be predicted.
@@ -189,7 +196,7 @@ def compare_images(name: str, rival: Effect, present: PresentFits) -> tuple[Wort
         return None
     rival_model = without.model.with_effect(candidates[0].start, present.scales)
     rival_fit = fit_jointly(rival_model, thinned, tolerance=TOLERANCE, iterations=ITERATIONS)
-    targets = np.arange(SPOT_PARAMETERS * rival_fit.equations.frames, rival_fit.equations.size)
+    targets = np.arange(SPOT_PARAMETERS * rival_fit.equations.frame_count, rival_fit.equations.size)
     # Scaled from the thinned to all pixels.
     known = information_beside(rival_fit, targets) * fit.pixels.share / thinned.share
 
@@ -282,7 +289,7 @@ def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[W
         if not np.isfinite([*expected, *rival_expected]).all() or brightest > USABLE_SHARE * sensor.full_scale_dn:
             return None
         # Covariance of ln peak and ln σ of the nearest frame; the part by photon noise is scaled with 1/exposure.
-        index = np.ix_([frame, search.frames + frame], [frame, search.frames + frame])
+        index = np.ix_([frame, search.frame_count + frame], [frame, search.frame_count + frame])
         exposure_ratio = max(search.design.exposure_s[frame] / design.exposure_s[0], 1.0)
         weight = np.linalg.inv(covariance[index] + (exposure_ratio - 1) * search.noise[index])
         slopes = np.array([slope_of_spot(rival_model, parameter, design) for parameter in rival_laws.names]).T

@@ -53,7 +53,7 @@ from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
 from spotcheck.discrepancy.scatter import DarkNoise, DarkSlopes, measure_dark_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_again, select_effects, withdraw_effects
-from spotcheck.discrepancy.spot_numbers import numbers_of_fit
+from spotcheck.discrepancy.spot_measurements import measure_spots
 from spotcheck.discrepancy.validation import has_field
 from spotcheck.io import progress
 from spotcheck.model.baseline import Baseline
@@ -212,7 +212,19 @@ def penalized_deviance(fit: JointFit) -> float:
 
 
 def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -> Prepared:
-    """Mask hot pixels, separate the held-out repeats, and fit the declared model."""
+    """Mask hot pixels, separate the held-out repeats, and fit the declared model.
+
+    If the residuals show granular light, its variance is added to the readings and the fit is repeated.
+
+    Parameters
+    ----------
+    frames : FrameSet
+        Usable frames of the dataset, including held-out repeats.
+    spots : FrameParameters
+        Spot of each frame, from which the fit starts.
+    setting : Setting
+        Properties that the instrument fixes.
+    """
     frames, hot_pixels = mask_hot_pixels(frames, setting.sensor)
     is_held_out = frames.held_out()
     searched = frames.select(~is_held_out)
@@ -221,7 +233,7 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
     light_field = find_light_field(images, declared)
     if light_field is not None:
         # Structure of the light that moves with the spot looks like grains unless a free shape absorbs it.
-        with_shape = fit_thinned_shape(declared)[1]
+        _, with_shape = fit_thinned_shape(declared)
         light_field = find_light_field(measure_residuals(with_shape.model, searched), with_shape)
     if light_field is not None:
         searched = replace(searched, light_field=light_field)
@@ -243,7 +255,7 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
     if setting.baseline.photon_budget != "free":
         sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
         by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else None
-        search = LawSearch(numbers_of_fit(fit, by_field), ForwardModel(setting.baseline, sensor), scales)
+        search = LawSearch(measure_spots(fit, by_field), ForwardModel(setting.baseline, sensor), scales)
     named = name_all_scatter(effects, scatter, fit, setting, scales, search)
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:

@@ -188,13 +188,13 @@ class ChangeSums:
         self._evaluation, self._batch = evaluation, batch
         self._fitted_columns = differentiate_readings(fit.model, evaluation)
         self._shape_sums = None if fit.model.grid is None else ShapeSums(fit.model, evaluation)
-        self._spot_unknowns = SPOT_PARAMETERS * fit.equations.frames
+        self._spot_unknowns = SPOT_PARAMETERS * fit.equations.frame_count
         self.alone = np.zeros(count)
         self.cross = np.zeros((fit.equations.size, count))
         self.of_shape = np.zeros((0 if self._shape_sums is None else self._shape_sums.nodes**2, count))
 
     def add(self, k: int, change: Column) -> None:
-        """Set the sums of change number k."""
+        """Set the sums of change number k, a pair of changes of mean [DN] and variance [DN²], each [frame, h, w]."""
         evaluation, columns = self._evaluation, self._fitted_columns
         self.alone[k] = evaluation.information_of(change, change)
         # Σ slope × equivalent is the information between a spot parameter and the change.

@@ -206,12 +206,13 @@ def measure_gap(analysis: Analysis) -> Gap | None:
 def measure_law_shift(analysis: Analysis) -> LawShift:
     """Return p1 and p2 [px] under the declared and under the extended model.
 
-    All values are NaN without laws, or with fewer than two exposures, which determine neither.
+    All values are NaN without a search for laws, or with fewer than two exposures, which determine neither parameter.
     """
+    # The columns of the factor "exposure" are its distinct exposures.
     if analysis.search is None or analysis.laws is None or analysis.search.factors["exposure"].shape[1] < 2:
         return LawShift()
-    numbers = replace(analysis.search.numbers, spots=analysis.prepared.declared.model.spots)
-    declared = analysis.search.with_numbers(numbers).fit([])
+    measurements = replace(analysis.search.measurements, spots=analysis.prepared.declared.model.spots)
+    declared = analysis.search.with_measurements(measurements).fit([])
     extended = analysis.laws.fit
     return LawShift(_law_values(declared), _law_values(extended), _law_errors(extended))
 
@@ -349,7 +350,10 @@ def _share(analysis: Analysis, name: str) -> float:
 
 
 def _errors_of(fit: JointFit, covariance: np.ndarray) -> dict[tuple[str, str], float]:
-    """Return the standard errors of the fitted parameters by (effect, parameter); the effect is "" for the sensor."""
+    """Return the standard errors of the fitted parameters by (effect, parameter); the effect is "" for the sensor.
+
+    `covariance` [parameter, parameter] is that of the parameters `fit.model.free` of sensor and effects.
+    """
     errors = np.sqrt(np.diag(covariance)) if covariance.size else np.zeros(0)
     return {(free.effect, free.name): float(error) for free, error in zip(fit.model.free, errors, strict=True)}
 

@@ -123,7 +123,7 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
     count = len(fit.model.free)
     if count == 0:
         return np.zeros((0, 0))
-    targets = np.arange(count) + SPOT_PARAMETERS * fit.equations.frames
+    targets = np.arange(count) + SPOT_PARAMETERS * fit.equations.frame_count
     information = information_beside(fit, targets)
     model_based = invert_information(information)
     sandwiches = []
@@ -186,7 +186,7 @@ def compare_cells(fit: JointFit, name: str) -> CellComparison:
 
     The errors are model-based: the cluster-robust ones would include the misfit that all cells share.
     """
-    target = SPOT_PARAMETERS * fit.equations.frames + position_of_strength(fit.model, name)
+    target = SPOT_PARAMETERS * fit.equations.frame_count + position_of_strength(fit.model, name)
     (sums,) = sum_by_clusters(fit, np.array([target]), (label_cells,))
     score, information, field_information = sums.score[:, 0], sums.information[:, 0], sums.field_information[:, 0]
     effect_dispersion = fit.pixels.dispersion_of(field_information.sum() / max(information.sum(), TINY))
@@ -277,7 +277,7 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
         light = [None] * len(targets) if coefficients is None else ShapeSums(model, evaluation).values(coefficients)
         terms = []
         for k, target in enumerate(targets):
-            column = fitted_columns[target - SPOT_PARAMETERS * equations.frames]
+            column = fitted_columns[target - SPOT_PARAMETERS * equations.frame_count]
             column = subtract_absorbed(evaluation, batch, column, steps[:, k], fitted_columns, light[k])
             per_pixel = evaluation.information_per_pixel(column)
             terms.append((evaluation.score_per_pixel(column), per_pixel, evaluation.field_share * per_pixel))

@@ -19,7 +19,7 @@ from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import LawSearch, is_law
-from spotcheck.discrepancy.spot_numbers import SpotNumbers
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.discrepancy.starting_spots import fit_spots
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.model.effects import vocabulary
@@ -81,8 +81,8 @@ def fit_final_model(analysis: Analysis, findings: Findings, frames: FrameSet) ->
     if not has_same_effects or (fit.model.grid is not None and not has_learned_light):
         refitted = fit_spots(forward, prepared.frames, spots)
         spots = refitted.spots
-        numbers = SpotNumbers(prepared.frames.design, spots, refitted.joint_covariance)
-        search = search and search.with_numbers(numbers)
+        measurements = SpotMeasurements(prepared.frames.design, spots, refitted.joint_covariance)
+        search = search and search.with_measurements(measurements)
     is_held_out = frames.held_out()
     spot_rows = np.empty((SPOT_PARAMETERS, len(frames)))
     spot_rows[:, ~is_held_out] = spots.as_rows()
@@ -110,7 +110,7 @@ def fit_exposure_law(search: LawSearch, laws: tuple[AppliedEffect, ...]) -> Expo
 
     p1 is fitted only if there are several exposures and no law replaces it; it keeps its starting value otherwise.
     """
-    spots, laser_px = search.numbers.spots, search.forward.baseline.laser_px
+    spots, laser_px = search.measurements.spots, search.forward.baseline.laser_px
     is_replaced = "p1" in {name for applied in laws for name in applied.effect.replaces}
     start = search.fit([]).law
     if is_replaced:

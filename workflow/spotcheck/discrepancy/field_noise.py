@@ -15,8 +15,8 @@ from spotcheck.discrepancy.fields import FieldEstimate, correlated_area
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, FrameSet
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.normal_equations import solve_positive
-from spotcheck.discrepancy.residuals import place_on_sensor, whole_crops
-from spotcheck.discrepancy.spot_numbers import covariance_of_spots
+from spotcheck.discrepancy.residuals import place_on_sensor, select_all_pixels
+from spotcheck.discrepancy.spot_measurements import covariance_of_spots
 from spotcheck.discrepancy.validation import has_field
 
 # Largest part of a spot's covariance that the field may have; the rest, by noise, keeps the covariance positive.
@@ -55,7 +55,7 @@ def covariance_by_field(fit: JointFit, frames: FrameSet, grains: FieldEstimate) 
     for site in np.unique(fit.model.design.site):
         members = np.flatnonzero(fit.model.design.site == site)
         model = replace(fit.model, spots=fit.model.spots.select(members), design=fit.model.design.select(members))
-        evaluation = evaluate(model, whole_crops(frames.select(members)), slice(0, len(members)))
+        evaluation = evaluate(model, select_all_pixels(frames.select(members)), slice(0, len(members)))
         mean_slope = evaluation.moments.mean_slope
         slopes, by_log_light = mean_slope * evaluation.slopes, mean_slope * evaluation.light.spot
         # Weight of a reading by the noise and the field together.

@@ -170,7 +170,10 @@ def estimate_white_field(images: ResidualImages) -> FieldEstimate:
     """
 
     def combine_blocks(values: np.ndarray, row_sign: int, column_sign: int) -> np.ndarray:
-        """Return sums or differences over blocks of 2 × 2 px: signs of the second row and of the second column."""
+        """Return signed sums over blocks of 2 × 2 px of `values` [frame, row, column].
+
+        `row_sign` (1 or −1) is the sign of the second row of a block, `column_sign` that of its second column.
+        """
         rows, columns = (length // 2 * 2 for length in values.shape[1:])
         row_pairs = values[:, 0:rows:2] + row_sign * values[:, 1:rows:2]
         return row_pairs[:, :, 0:columns:2] + column_sign * row_pairs[:, :, 1:columns:2]
@@ -218,7 +221,11 @@ def correlated_area(grain_px: float, block_px: int | None = None) -> float:
 
 
 def divide_lit(residuals: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Return Σ a a'/Σ b b', and 0 where Σ b b' is only rounding error; arrays of any shape."""
+    """Return the quotient of two sums of products, and 0 where that of the light is only rounding error.
+
+    `residuals` are sums Σ a a' over pairs of pixels and `light` the sums Σ b b' over the same pairs, arrays of one
+    shape.
+    """
     is_lit = light > ROUNDING_SHARE * np.max(light, initial=0.0)
     return np.divide(residuals, light, out=np.zeros_like(residuals), where=is_lit)
 

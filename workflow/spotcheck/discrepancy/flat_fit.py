@@ -72,7 +72,10 @@ class Standardization:
     regression: np.ndarray  # expected deviation of the variance per deviation of the mean [level, DN]
 
     def apply(self, deviations: np.ndarray) -> np.ndarray:
-        """Return deviations […, 2, level] of means [DN] and variances [DN²], transformed to unit covariance."""
+        """Return deviations […, 2, level] of means [DN] and variances [DN²], transformed to unit covariance.
+
+        The deviation of a variance that its mean lets expect is subtracted first.
+        """
         mean, variance = deviations[..., 0, :], deviations[..., 1, :]
         return np.stack([mean / self.errors[0], (variance - self.regression * mean) / self.errors[1]], axis=-2)
 
@@ -209,12 +212,14 @@ class _LevelProblem:
     """
 
     def __init__(self, levels: FlatLevels, model: ForwardModel, nearby: float) -> None:
+        """Collect names, start, scales and bounds of the parameters: ln R, K, then those of the effects in order."""
         self.levels, self.model, self.nearby = levels, model, nearby
         gain, law = levels.declared.sensor.gain_dn_per_e, model.law
         assert law is not None
         names, start = [("", "log_light"), ("", "gain_dn_per_e")], [np.log(law.peak_dn), model.sensor.gain_dn_per_e]
         bounds, scales = [(-np.inf, np.inf), (gain / GAIN_RANGE, gain * GAIN_RANGE)], [1.0, gain]
         for applied in model.effects:
+            # The largest starting value of a parameter is its scale.
             largest_starts = np.abs(applied.effect.starts(levels.scales)).max(axis=0)
             scale_of = dict(zip(applied.parameters, largest_starts, strict=True))
             bounds_of = dict(zip(applied.parameters, applied.effect.bounds(levels.scales), strict=True))

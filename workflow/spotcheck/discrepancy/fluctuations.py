@@ -2,11 +2,11 @@
 
 The frames of a site share the angle of the fibres, the declared conditions and the repeat. The gain of a fluctuation is
 the drop of −2 ln L (REML) that its variance brings. Granular light scatters the fitted spots as well, so that a
-fluctuation counts only if it exceeds this part (`SpotNumbers.field_variance`).
+fluctuation counts only if it exceeds this part (`SpotMeasurements.field_variance`).
 
-A `LawSearch` has the fitted spots with their covariance (`numbers`) and the conditions of the frames (`design`). Its
-`saturated_mean` has a free mean for each angle and exposure, so that it contains every law across frames. `components`
-are the variance components that are needed beside it, and `variances` is their fit.
+A `LawSearch` has the fitted spots with their covariance (`measurements`) and the conditions of the frames (`design`).
+Its `saturated_mean` has a free mean for each angle and exposure, so that it contains every law across frames.
+`components` are the variance components that are needed beside it, and `variances` is their fit.
 """
 
 from dataclasses import dataclass
@@ -41,10 +41,10 @@ def measure_components(search: LawSearch) -> dict[str, Fluctuation]:
     fluctuations = {}
     fit_of_kept = search.variances
 
-    def assess(name: str, variance: float, variance_of_it: float, gain: float) -> Fluctuation:
+    def assess(name: str, variance: float, estimate_variance: float, gain: float) -> Fluctuation:
         """Return the fluctuation of a component from the estimate of its variance and the variance of that estimate."""
-        by_field = search.numbers.field_variance[LOG_SIGMA if name.endswith("width") else LOG_PEAK]
-        return Fluctuation(deviation_interval(variance, variance_of_it), gain, _reasons(gain, variance, by_field))
+        by_field = search.measurements.field_variance[LOG_SIGMA if name.endswith("width") else LOG_PEAK]
+        return Fluctuation(deviation_interval(variance, estimate_variance), gain, _reasons(gain, variance, by_field))
 
     for k, name in enumerate(fit_of_kept.names):
         others = {key: matrix for key, matrix in search.components.items() if key != name}
@@ -67,7 +67,7 @@ def measure_jitter(search: LawSearch) -> Fluctuation | None:
     Each exposure has a mean shift of its own, since an imperfect light shape moves the fitted centre with the exposure.
     None if no site has two frames, or if fewer than `LEAST_FREE` degrees of freedom are left beside these means.
     """
-    spots, design = search.numbers.spots, search.design
+    spots, design = search.measurements.spots, search.design
     site_indicators = (design.site[:, None] == np.unique(design.site)[None]).astype(float)
     mean_of_axis = np.hstack([site_indicators, search.factors["exposure"][:, 1:]])  # of x or y [frame, column]
     frames = len(spots.x)
@@ -75,7 +75,7 @@ def measure_jitter(search: LawSearch) -> Fluctuation | None:
         return None
     zero = np.zeros_like(mean_of_axis)
     mean, centres = np.block([[mean_of_axis, zero], [zero, mean_of_axis]]), np.concatenate([spots.x, spots.y])
-    covariance = search.numbers.covariance_of(CENTRE_X, CENTRE_Y)
+    covariance = search.measurements.covariance_of(CENTRE_X, CENTRE_Y)
 
     def fit_scatter(is_kept: np.ndarray) -> tuple[Interval, float]:
         """Return the standard deviation [px] and the gain of the scatter of some frames [frame]."""
@@ -90,7 +90,7 @@ def measure_jitter(search: LawSearch) -> Fluctuation | None:
     squares = (centres - mean @ np.linalg.lstsq(mean, centres, rcond=None)[0]) ** 2
     square_distance = squares[:frames] + squares[frames:]
     _, remaining_gain = fit_scatter(square_distance <= np.quantile(square_distance, 1 - WORST_SHARE))
-    reasons = _reasons(gain, interval.value**2, max(search.numbers.field_variance[CENTRE_X:]))
+    reasons = _reasons(gain, interval.value**2, max(search.measurements.field_variance[CENTRE_X:]))
     if gain >= MIN_GAIN and remaining_gain < min(MIN_GAIN, LEFT_SHARE * gain):
         reasons = (*reasons, "carried by a tenth of the frames")
     return Fluctuation(interval, gain, reasons)

@@ -284,14 +284,16 @@ def _take_pixels(
 ) -> Pixels:
     """Return the pixels at rows [frame, h] and columns [frame, w] of the crops.
 
-    `has_row` and `has_column`, of the same shapes, are False at padding, whose pixels are not used.
+    Frames with fewer rows or columns are padded. `has_row` and `has_column`, of the same shapes, are False at padding,
+    whose pixels are not used.
     """
+    # Index of each pixel in arrays [frame, row, column].
     index = (np.arange(len(frames))[:, None, None], row[:, :, None], column[:, None, :])
     readings, light_field = frames.readings[index], frames.light_field
     is_used = np.isfinite(readings) & has_row[:, :, None] & has_column[:, None, :]
     y, x = row + frames.top[:, None], column + frames.left[:, None]
     crop_rows = np.arange(frames.readings.shape[1]) + frames.top[:, None]
-    # Padding at −∞ is nearest to no row.
+    # Each row of a crop counts for the nearest of these rows, which is never padding at −∞.
     row_share = _row_share(np.where(has_row, y, -np.inf), crop_rows, np.ones(crop_rows.shape))
     return Pixels(
         x=x[:, None, :].astype(float),

@@ -26,7 +26,7 @@ from spotcheck.discrepancy.frames import LOG_PEAK, LOG_SIGMA, Design
 from spotcheck.discrepancy.mixed_model import Interval, fit_reml
 from spotcheck.discrepancy.normal_equations import invert_information
 from spotcheck.discrepancy.spot_components import LEAST_FREE, build_components, build_factors, build_saturated_mean
-from spotcheck.discrepancy.spot_numbers import SpotNumbers
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, Need, RandomStep
 from spotcheck.model.forward import ForwardModel
@@ -113,7 +113,7 @@ class LawSearch:
 
     Attributes
     ----------
-    numbers, design, frames : spot parameters of the frames with their covariance; conditions; number F.
+    measurements, design, frame_count : spot parameters of the frames with their covariance; conditions; number F.
     forward : baseline and sensor, without effects.
     observations, noise : z [2F] and its covariance C by the joint fit [2F, 2F].
     factors, saturated_mean : columns that depend on angle, exposure and order, by `spot_components`.
@@ -121,12 +121,12 @@ class LawSearch:
     inverse, whitening : V⁻¹, and a matrix W with W'W = V⁻¹ [2F, 2F].
     """
 
-    def __init__(self, numbers: SpotNumbers, forward: ForwardModel, scales: EffectScales) -> None:
+    def __init__(self, measurements: SpotMeasurements, forward: ForwardModel, scales: EffectScales) -> None:
         """Estimate the variance components; `scales` give bounds and starting values of effects."""
-        self.numbers, self.scales = numbers, scales
+        self.measurements, self.scales = measurements, scales
         self.forward = replace(forward, effects=())
-        self.design, self.frames = numbers.design, len(numbers.spots.x)
-        self.observations, self.noise = numbers.observations, numbers.covariance_of(LOG_PEAK, LOG_SIGMA)
+        self.design, self.frame_count = measurements.design, len(measurements.spots.x)
+        self.observations, self.noise = measurements.observations, measurements.covariance_of(LOG_PEAK, LOG_SIGMA)
         self.conditions = spot_conditions(self.design)
         self.factors = build_factors(self.design)
         self.saturated_mean = build_saturated_mean(self.design, self.factors)
@@ -141,18 +141,18 @@ class LawSearch:
         self.inverse = np.linalg.inv(total)
         self.whitening = np.linalg.cholesky(self.inverse).T
 
-    def with_numbers(self, numbers: SpotNumbers) -> "LawSearch":
+    def with_measurements(self, measurements: SpotMeasurements) -> "LawSearch":
         """Return the search on other spot parameters of the same frames, with the same variance components."""
         other = copy.copy(self)
-        other.numbers, other.observations = numbers, numbers.observations
-        other.noise = numbers.covariance_of(LOG_PEAK, LOG_SIGMA)
+        other.measurements, other.observations = measurements, measurements.observations
+        other.noise = measurements.covariance_of(LOG_PEAK, LOG_SIGMA)
         other._whiten()
         return other
 
     @property
     def can_estimate(self) -> bool:
         """Whether the saturated mean leaves enough degrees of freedom for variance components."""
-        return 2 * self.frames - np.linalg.matrix_rank(self.saturated_mean) >= LEAST_FREE
+        return 2 * self.frame_count - np.linalg.matrix_rank(self.saturated_mean) >= LEAST_FREE
 
     def _select_components(self) -> dict[str, np.ndarray]:
         """Return the needed variance components, after removing the one with the least gain again and again.
@@ -206,7 +206,7 @@ class LawSearch:
                   for parameter in applied.effect.parameters_of(applied.variant)]  # fmt: skip
         law = self._guess_law()
         if replaced:
-            mean_sigma_px = np.exp(np.mean(self.numbers.spots.log_sigma))
+            mean_sigma_px = np.exp(np.mean(self.measurements.spots.log_sigma))
             law = replace(law, p1=0.0, p2=float(mean_sigma_px - self.forward.baseline.laser_px))
         model = replace(self.forward, law=law, effects=effects)
         has_converged = False
@@ -249,14 +249,14 @@ class LawSearch:
         peak [DN] then fits the mean of ln peak.
         """
         baseline, design = self.forward.baseline, self.design
-        broadening_px = np.exp(self.numbers.spots.log_sigma) - baseline.laser_px
+        broadening_px = np.exp(self.measurements.spots.log_sigma) - baseline.laser_px
         if self.factors["exposure"].shape[1] > 1:
             p1, p2 = np.polyfit(np.log(design.exposure_s), broadening_px, 1)
         else:
             p1, p2 = 0.0, float(np.mean(broadening_px))
         law = ExposureLaw(float(p1), float(p2), peak_dn=1.0)
         peak = replace(self.forward, law=law).spot(self.conditions).peak_dn
-        return replace(law, peak_dn=float(np.exp(np.mean(self.numbers.spots.log_peak - np.log(np.ravel(peak))))))
+        return replace(law, peak_dn=float(np.exp(np.mean(self.measurements.spots.log_peak - np.log(np.ravel(peak))))))
 
     def mean_of(self, model: ForwardModel, conditions: FrameConditions | None = None) -> np.ndarray:
         """Return the mean of the observations under a model with a law [2F]; NaN where peak or σ_g is negative.
@@ -266,7 +266,7 @@ class LawSearch:
         with np.errstate(all="ignore"):
             spot = model.spot(conditions or self.conditions)
             return np.concatenate(
-                [np.log(np.broadcast_to(v, (self.frames, 1, 1)).ravel()) for v in (spot.peak_dn, spot.sigma_px)]
+                [np.log(np.broadcast_to(v, (self.frame_count, 1, 1)).ravel()) for v in (spot.peak_dn, spot.sigma_px)]
             )
 
     def _linearize(self, model: ForwardModel, names: Sequence[LawParameter]) -> tuple[np.ndarray, np.ndarray]:
@@ -327,13 +327,13 @@ class LawSearch:
                 candidates = [
                     (*sets[names], effect) for names in best_of_size for effect in effects if effect.name not in names
                 ]
-            tried = set()
+            names_of_size = set()
             for laws in candidates:
                 names = tuple(sorted(effect.name for effect in laws))
-                tried.add(names)
+                names_of_size.add(names)
                 if names not in fits:
                     fits[names], sets[names] = self.fit(laws), laws
-            best_of_size = sorted(tried, key=cost)[:BEAM]
+            best_of_size = sorted(names_of_size, key=cost)[:BEAM]
             # Pairs are tried even if no single law helps, since a law may need another one beside it.
             if not best_of_size or (size > 1 and cost(best_of_size[0]) > min(map(cost, fits))):
                 break

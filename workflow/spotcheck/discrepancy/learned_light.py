@@ -186,7 +186,7 @@ def fit_gauge(baseline: Baseline, declared: Baseline, grid: PolarGrid, is_covere
     light, weight = baseline.spot(grid.u, grid.v, 1.0, 1.0), np.sqrt(grid.area) * is_covered
 
     def gauge_of(values: np.ndarray) -> Gauge:
-        """Return the gauge of (ln A, ln w, a, b)."""
+        """Return the gauge with the parameters `values`: ln A, ln w, a and b [4]."""
         return Gauge(float(np.exp(values[0])), float(np.exp(values[1])), float(values[2]), float(values[3]))
 
     def residual(values: np.ndarray) -> np.ndarray:
@@ -202,9 +202,20 @@ def fit_gauge(baseline: Baseline, declared: Baseline, grid: PolarGrid, is_covere
 def draw_noise(fit: JointFit, gauge: Gauge, grid: PolarGrid, rng: np.random.Generator) -> np.ndarray:
     """Return draws of the noise of a learned shape in a gauge [draw, ring, direction].
 
-    They have the covariance of the Fisher information. The frames of a site may share a field such as speckle, which
-    adds scatter between sites: azimuthal orders that scatter more between sites are scaled up to that. With fewer than
-    `MANY_SITES` sites the draws are scaled to the residuals instead.
+    Their covariance is the inverse of the Fisher information. The frames of a site may share a field such as speckle,
+    which adds scatter between sites. Azimuthal orders that scatter more between sites than this covariance allows are
+    scaled up to the observed scatter. With fewer than `MANY_SITES` sites the draws are scaled to the residuals instead.
+
+    Parameters
+    ----------
+    fit : JointFit
+        Fit with the learned shape.
+    gauge : Gauge
+        Brightness, width and centre relative to which the shape is described.
+    grid : PolarGrid
+        Places [ring, direction] at which it is evaluated.
+    rng : Generator
+        Source of the random numbers.
     """
     shape = fit.model.forward.baseline.learned
     assert shape is not None
@@ -268,7 +279,7 @@ def draw_by_sites(fit: JointFit, rng: np.random.Generator) -> np.ndarray:
     parameter_scores = is_of_site @ np.reshape([scores for _, scores in frames], (len(site), -1))
     # Scores of all unknowns but the coefficients [unknown, site]. Those of spots are 0 at the optimum.
     other_scores = np.zeros((equations.size, len(shape_scores)))
-    other_scores[SPOT_PARAMETERS * equations.frames :] = parameter_scores.T
+    other_scores[SPOT_PARAMETERS * equations.frame_count :] = parameter_scores.T
     # Solve the normal equations for each site, by elimination of the coefficients (see `normal_equations`).
     half = equations.shape.factor.half_solve(shape_scores.T)
     other_changes = solve_positive(equations.information, other_scores - equations.shape.cross.T @ half)
@@ -384,7 +395,10 @@ def describe_difference(power: float, stderr: float, orders: np.ndarray, axes: t
 
 
 def describe_pattern(orders: np.ndarray, axes: tuple[float, float, float]) -> str:
-    """Return in words where most of ∫d² lies, by its strongest azimuthal order; arguments as `describe_difference`."""
+    """Return in words where most of ∫d² lies, by its strongest azimuthal order.
+
+    `orders` [order] are the shares of the azimuthal orders in ∫d²; `axes` are those of `describe_difference`.
+    """
     order = int(np.argmax(orders))
     if orders[order] < MAJORITY:
         return "in no simple pattern"

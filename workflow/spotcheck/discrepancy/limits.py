@@ -90,8 +90,6 @@ def find_limits(
 ) -> tuple[UpperLimit, ...]:
     """Return the limits of all effects that are not named and that the design can show.
 
-    An effect without a limit gets an `UpperLimit` whose `low` and `high` are NaN, with a reason.
-
     Parameters
     ----------
     fit : JointFit
@@ -111,19 +109,25 @@ def find_limits(
         Random effects with the interval of their size, whether the verdict names them or not.
     withdrawn : collection of str
         Names of effects that the search found and held-out frames refuted.
+
+    Returns
+    -------
+    tuple of UpperLimit
+        A limit for each of these effects, in the order of `effects`. For an effect without a limit `low` and `high` are
+        NaN, and `reason` says why.
     """
-    impossible = {name for name, _ in list_not_assessed(effects, fit.model.design, baseline)}
-    done = {*named, *impossible, *fit.model.effect_names}
-    rest = [effect for effect in effects if effect.name not in done]
-    mean_effects = [effect for effect in rest if is_limited_by_pixels(effect, fit.model)]
+    not_assessed = {name for name, _ in list_not_assessed(effects, fit.model.design, baseline)}
+    without_limit = {*named, *not_assessed, *fit.model.effect_names}
+    limited_effects = [effect for effect in effects if effect.name not in without_limit]
+    mean_effects = [effect for effect in limited_effects if is_limited_by_pixels(effect, fit.model)]
     limits = limit_mean_effects(fit, mean_effects, scales)
     if laws is not None:
-        present = [effect for effect in effects if effect.name in named and is_law(effect)]
-        limits |= limit_laws(laws, present, [effect for effect in rest if is_law(effect)])
+        named_laws = [effect for effect in effects if effect.name in named and is_law(effect)]
+        limits |= limit_laws(laws, named_laws, [effect for effect in limited_effects if is_law(effect)])
     for random_effect in scatter:
         limits[random_effect.applied.effect.name] = limit_scatter(random_effect, len(fit.model.spots.x), scales)
-    of_rest = [limits.get(effect.name) or explain_missing(effect, fit.model) for effect in rest]
-    return tuple(replace(limit, reason=NOT_CONFIRMED) if limit.effect in withdrawn else limit for limit in of_rest)
+    upper_limits = [limits.get(effect.name) or explain_missing(effect, fit.model) for effect in limited_effects]
+    return tuple(replace(limit, reason=NOT_CONFIRMED) if limit.effect in withdrawn else limit for limit in upper_limits)
 
 
 def list_not_assessed(effects: Sequence[Effect], design: Design, baseline: Baseline) -> tuple[tuple[str, str], ...]:
@@ -363,7 +367,7 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
 
     trials = solve_trials(list_trials(laws, search.scales), lambda trials: list(map(estimate, trials)), TRIES)
     return {
-        name: summarize_sides(sides, search.frames, search.scales)
+        name: summarize_sides(sides, search.frame_count, search.scales)
         for name, sides in choose_farthest(trials).items()
         if all(trial.is_limited for trial in sides)
     }

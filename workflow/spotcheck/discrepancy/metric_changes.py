@@ -80,7 +80,7 @@ class FrameSimulator:
         readings = np.empty(frames.readings.shape)
         # Frames of a site come one after the other, since the forward model keeps what it has drawn for a site.
         for frame in np.argsort(frames.design.site, kind="stable"):
-            forward = replace(self.forward, effects=(*self.forward.effects, *self._gains_under(frame, gains)))
+            forward = replace(self.forward, effects=(*self.forward.effects, *self._make_gains_effect(frame, gains)))
             streams = RandomStreams(seed, int(frame), int(frames.design.site[frame]))
             readings[frame] = forward.sample(self.conditions(frame), streams)
         return np.where(np.isfinite(frames.readings), readings, np.nan)
@@ -89,11 +89,11 @@ class FrameSimulator:
         """Return the mean image of each frame [frame, row, column] in DN, without random effects."""
         images, effects = [], tuple(filter(acts_on_mean, self.forward.effects))
         for frame in range(len(self.frames)):
-            forward = replace(self.forward, effects=(*effects, *self._gains_under(frame, self.gains)))
+            forward = replace(self.forward, effects=(*effects, *self._make_gains_effect(frame, self.gains)))
             images.append(forward.expected(self.conditions(frame)).mean)
         return np.stack(images)
 
-    def _gains_under(self, frame: int, gains: PixelGains | None) -> tuple[AppliedEffect, ...]:
+    def _make_gains_effect(self, frame: int, gains: PixelGains | None) -> tuple[AppliedEffect, ...]:
         """Return the gains of the pixels under a frame's crop as an effect, in a tuple of one; empty without gains."""
         if gains is None:
             return ()

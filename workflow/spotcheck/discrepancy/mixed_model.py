@@ -118,27 +118,31 @@ def fit_reml(
 def _differentiate(matrices: Sequence[np.ndarray], inverse: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the gradient of ln L by the variances [component] and their information [component, component].
 
-    `matrices` are the components, `inverse` the inverse covariance and `y` the values of the contrasts.
+    `matrices` are the covariances of the contrasts by each component at a variance of 1 [contrast, contrast], `inverse`
+    is the inverse covariance of the contrasts [contrast, contrast] and `y` their values [contrast].
     """
-    weighted = inverse @ y
+    weighted_y = inverse @ y
     products = [inverse @ matrix for matrix in matrices]
-    gradient = [0.5 * (weighted @ m @ weighted - np.trace(p)) for m, p in zip(matrices, products, strict=True)]
+    gradient = [0.5 * (weighted_y @ m @ weighted_y - np.trace(p)) for m, p in zip(matrices, products, strict=True)]
     information = [[0.5 * np.sum(first * second.T) for second in products] for first in products]
     return np.array(gradient), np.array(information)
 
 
-def deviation_interval(variance: float, variance_of_it: float) -> Interval:
-    """Return the interval of a standard deviation from the estimate of a variance and the variance of that estimate.
+def deviation_interval(variance: float, estimate_variance: float) -> Interval:
+    """Return the 95 % interval of a standard deviation.
 
-    The estimate is taken as a scaled χ² with 2 variance²/variance_of_it degrees of freedom. With fewer than `LEAST_DOF`
-    the lower end is 0, and the upper end is the root of the normal upper end of the variance. An exact estimate
-    (variance_of_it = 0) has an interval of no width.
+    `variance` is the estimate of the square of the standard deviation, and `estimate_variance` the squared standard
+    error of this estimate.
+
+    The estimate is taken as a scaled χ² with 2 variance²/estimate_variance degrees of freedom. With fewer degrees of
+    freedom than `LEAST_DOF` the lower end is 0, and the upper end is the root of the normal upper end of the variance.
+    An exact estimate (estimate_variance = 0) has an interval of no width.
     """
-    stderr_of_variance = np.sqrt(max(variance_of_it, 0.0))
+    stderr_of_variance = np.sqrt(max(estimate_variance, 0.0))
     sd = float(np.sqrt(max(variance, 0.0)))
     if stderr_of_variance == 0:
         return Interval(sd, 0.0, sd, sd)
-    dof = 2 * variance**2 / variance_of_it
+    dof = 2 * variance**2 / estimate_variance
     if dof < LEAST_DOF or sd == 0:
         high = float(np.sqrt(max(variance, 0.0) + QUANTILE * stderr_of_variance))
         return Interval(sd, high / QUANTILE, 0.0, high)

@@ -85,15 +85,15 @@ def name_scatter(
     scales : EffectScales
         Sizes of the dataset, from which the sizes that are negligible follow.
     """
-    found = []
+    named_effects = []
     for effect in effects:
         for variant, steps in effect.variants.items():
             random_steps = [step for step in steps if isinstance(step, RandomStep)]
             is_measured = all((step.stage, step.scope) in deviations for step in random_steps)
             if random_steps and len(random_steps) == len(steps) and is_measured:
-                found.append(_name_steps(effect, variant, random_steps, deviations, hot_pixels, scales))
+                named_effects.append(_name_steps(effect, variant, random_steps, deviations, hot_pixels, scales))
                 break
-    return _mark_rivals([named for named in found if named is not None])
+    return _mark_rivals([named for named in named_effects if named is not None])
 
 
 def _mark_rivals(effects: Sequence[NamedScatter]) -> list[NamedScatter]:
@@ -124,7 +124,8 @@ def _name_steps(
 ) -> NamedScatter | None:
     """Return an effect with the measured values of its random steps; None if a parameter has no finite value.
 
-    Arguments are those of `name_scatter`. The step with the largest z decides on its reasons.
+    `steps` are the random steps of the variant; other arguments are those of `name_scatter`. The step with the largest
+    z decides on its reasons.
     """
     intervals: dict[str, Interval] = {}
     measured = [deviations[step.stage, step.scope] for step in steps]
@@ -212,15 +213,16 @@ def name_read_noise(
     if noise.is_shared:
         reasons.append("neighbours share it: not white")
     interval = Interval.around(noise.total_e, noise.stderr_e)
-    found = []
+    named_effects = []
     for effect in effects:
         for variant, steps in effect.variants.items():
             if [step.stage for step in steps] == [Stage.READ_NOISE] and isinstance(steps[0], Step):
                 is_small = noise.total_e - stated.read_noise_e < _negligible_sizes(effect, scales)[0]
-                against = (*reasons, "negligible") if is_small else tuple(reasons)
+                reasons_against = (*reasons, "negligible") if is_small else tuple(reasons)
                 applied = AppliedEffect(effect, variant, (noise.total_e,))
-                found.append(NamedScatter(applied, {effect.parameters[0].name: interval}, noise.z, against))
-    return found
+                intervals = {effect.parameters[0].name: interval}
+                named_effects.append(NamedScatter(applied, intervals, noise.z, reasons_against))
+    return named_effects
 
 
 def deviation_of_field(field: FieldEstimate) -> Deviation:

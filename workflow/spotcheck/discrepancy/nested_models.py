@@ -75,8 +75,11 @@ def build_chain(parts: FittedParts) -> list[NestedModel]:
 
 
 def _fit_law(fit: JointFit, parts: FittedParts) -> LawFit:
-    """Return the law of the exposure, without effects, of the spots of a fit; their covariance is the final fit's."""
-    return parts.search.with_numbers(replace(parts.search.numbers, spots=fit.model.spots)).fit([])
+    """Return the law of the exposure, without effects, fitted to the spots of a fit.
+
+    The covariance of the spots is taken from the final fit, to which `parts.search` belongs.
+    """
+    return parts.search.with_measurements(replace(parts.search.measurements, spots=fit.model.spots)).fit([])
 
 
 def _fit_without(final: JointFit, names: Sequence[str]) -> JointFit:

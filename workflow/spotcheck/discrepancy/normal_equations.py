@@ -69,7 +69,7 @@ class NormalEquations:
     diagonal: np.ndarray  # diagonal of the information with the shape fixed [n]
     deviance: float  # −2 ln L up to a constant, with priors and the penalty of the shape
     dispersion: float  # mean squared standardised residual
-    frames: int  # number F of frames
+    frame_count: int  # number F of frames
     shape: ShapePart | None = None  # result of the elimination of the shape; None without a free shape
 
     @property
@@ -109,7 +109,7 @@ class NormalEquations:
 
         `step` [n] is a step without damping. Unknowns that are `fixed` [n] do not count.
         """
-        first = SPOT_PARAMETERS * self.frames
+        first = SPOT_PARAMETERS * self.frame_count
         free = np.flatnonzero(~fixed[first:]) + first
         total = self.promise(step)
         if free.size == 0:
@@ -197,8 +197,9 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
         spots_cross = factor.half_solve(spots_cross)
         reuse = ShapePart(factor, spots_cross, spots_cross.T @ spots_cross, np.zeros((0, 0)), np.zeros(0))
     products[:, 0] -= penalty
-    solved = reuse.factor.half_solve(products)
-    shape = replace(reuse, others_cross=solved[:, 1:], score=solved[:, 0])
+    # L⁻¹ times the score of the coefficients (first column) and their information with the fitted parameters.
+    half_solutions = reuse.factor.half_solve(products)
+    shape = replace(reuse, others_cross=half_solutions[:, 1:], score=half_solutions[:, 0])
     spots_others = shape.spots_cross.T @ shape.others_cross
     schur = np.block([[shape.spots_schur, spots_others], [spots_others.T, shape.others_cross.T @ shape.others_cross]])
     beside_shape = information - schur + gauge_information(model, information)

@@ -56,10 +56,10 @@ class ConditionGrid:
     @classmethod
     def of_frames(cls, dataset: Dataset, cells: Sequence[tuple[int, ...]]) -> "ConditionGrid":
         """Return the grid for frames at `cells`, their indices on the dataset's grid with repeats."""
-        kept = [k for k, axis in enumerate(dataset.axes) if axis.name != "repeat"]
-        places = [tuple(cell[k] for k in kept) for cell in cells]
+        condition_axes = [k for k, axis in enumerate(dataset.axes) if axis.name != "repeat"]
+        places = [tuple(cell[k] for k in condition_axes) for cell in cells]
         number_of = {place: number for number, place in enumerate(sorted(set(places)))}
-        axes = [dataset.axes[k] for k in kept]
+        axes = [dataset.axes[k] for k in condition_axes]
         return cls(
             tuple(axis.name for axis in axes),
             tuple(axis.size for axis in axes),

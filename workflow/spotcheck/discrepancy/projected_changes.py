@@ -41,23 +41,24 @@ class Projection:
     # trial].
     absorbed: np.ndarray
     of_shape: np.ndarray | None  # the same for a free shape [coefficient, trial]; None beside the declared shape
-    of_rest: np.ndarray  # the same for the effect at the strength where it vanishes [trial]; 0 if it does nothing there
+    # The same for the special case of a trial, the effect at the strength where it vanishes [trial]; 0 without one.
+    of_special_case: np.ndarray
 
 
 def change_by_strength(
     model: JointModel, applied: AppliedEffect, evaluation: Evaluation
 ) -> tuple[Column, Column | None]:
-    """Return the change by the strength of an effect, and the change by its rest, or None if there is no rest.
+    """Return the change by the strength of an effect, and the change by its special case; None without a special case.
 
-    An effect may have a simpler effect as a special case, as an offset with a slope has a plain offset. The special
-    case remains where the strength (the slope) vanishes. It is the rest, and a nuisance.
+    An effect may have a simpler effect as a special case: a pedestal with a slope has the even pedestal. The special
+    case is what remains of the effect where its strength (the slope) vanishes; it is a nuisance.
     """
     change = change_at(model, applied, evaluation)
     if not applied.effect.special_cases:
         return change, None
     strength = applied.effect.parameters[0].name
-    rest = change_at(model, applied.with_value(strength, applied.effect.vanishes_at), evaluation)
-    return (change[0] - rest[0], change[1] - rest[1]), rest
+    special_change = change_at(model, applied.with_value(strength, applied.effect.vanishes_at), evaluation)
+    return (change[0] - special_change[0], change[1] - special_change[1]), special_change
 
 
 def change_at(model: JointModel, applied: AppliedEffect, evaluation: Evaluation) -> Column:
@@ -73,26 +74,30 @@ def change_at(model: JointModel, applied: AppliedEffect, evaluation: Evaluation)
 
 
 def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection:
-    """Return the changes by trials, projected off the nuisance parameters of a fit at its pixels."""
+    """Return the changes by trials, projected off the nuisance parameters of a fit at its pixels.
+
+    A trial is an effect at a strength. Special cases (`change_by_strength`) are nuisance parameters as well.
+    """
     model, equations, count = fit.model, fit.equations, len(trials)
-    with_rest = [k for k, applied in enumerate(trials) if applied.effect.special_cases]
+    with_special_case = [k for k, applied in enumerate(trials) if applied.effect.special_cases]
 
     def sum_batch(batch: slice) -> tuple[np.ndarray, ...]:
-        """Return the sums of a batch of frames; rests come behind the trials."""
+        """Return the sums of a batch of frames; special cases come behind the trials."""
         evaluation = evaluate(model, fit.pixels, batch)
-        sums, shared = ChangeSums(fit, evaluation, batch, count + len(with_rest)), np.zeros(len(with_rest))
+        sums = ChangeSums(fit, evaluation, batch, count + len(with_special_case))
+        shared = np.zeros(len(with_special_case))
         for k, applied in enumerate(trials):
-            change, rest = change_by_strength(model, applied, evaluation)
+            change, special_change = change_by_strength(model, applied, evaluation)
             sums.add(k, change)
-            if rest is not None:
-                j = with_rest.index(k)
-                shared[j] = evaluation.information_of(change, rest)
-                sums.add(count + j, rest)
+            if special_change is not None:
+                j = with_special_case.index(k)
+                shared[j] = evaluation.information_of(change, special_change)
+                sums.add(count + j, special_change)
         return sums.cross, sums.alone, shared, sums.of_shape
 
     cross, alone, shared, shape_products = sum_batches(sum_batch, fit.pixels)
-    # `shared` is the information between each change and its rest. First the coefficients of a free shape are projected
-    # off: L L' is their information, and `half` is L⁻¹ times their information with each change.
+    # `shared` is the information between each change and its special case. First the coefficients of a free shape are
+    # projected off: L L' is their information, and `half` is L⁻¹ times their information with each change.
     shape = equations.shape
     half = np.zeros((0, len(alone)))
     if shape is not None:
@@ -100,20 +105,20 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
         cross = cross - shape.cross.T @ half
     absorbed = solve_positive(equations.information, cross)
     information = alone - np.sum(half**2, axis=0) - np.sum(cross * absorbed, axis=0)
-    of_rest = np.zeros(count)
-    if with_rest:
-        # Last, each change is projected off its own rest, unless the other nuisance parameters can do the same as it.
-        k, j = np.array(with_rest), count + np.arange(len(with_rest))
+    of_special_case = np.zeros(count)
+    if with_special_case:
+        # Last, each change is projected off its special case, unless the other nuisance parameters can mimic this case.
+        k, j = np.array(with_special_case), count + np.arange(len(with_special_case))
         shared = shared - np.sum(half[:, k] * half[:, j], axis=0) - np.sum(cross[:, k] * absorbed[:, j], axis=0)
         is_separable = information[j] > SEPARABLE_SHARE * alone[j]
-        of_rest[k] = np.where(is_separable, shared / np.maximum(information[j], 1e-300), 0)
-        information[k] -= of_rest[k] * shared
-        absorbed[:, k] -= of_rest[k] * absorbed[:, j]
-        half[:, k] -= of_rest[k] * half[:, j]
+        of_special_case[k] = np.where(is_separable, shared / np.maximum(information[j], 1e-300), 0)
+        information[k] -= of_special_case[k] * shared
+        absorbed[:, k] -= of_special_case[k] * absorbed[:, j]
+        half[:, k] -= of_special_case[k] * half[:, j]
     of_shape = None
     if shape is not None:
         of_shape = shape.factor.back_solve(half[:, :count] - shape.cross @ absorbed[:, :count])
-    return Projection(information[:count], alone[:count], absorbed[:, :count], of_shape, of_rest)
+    return Projection(information[:count], alone[:count], absorbed[:, :count], of_shape, of_special_case)
 
 
 def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], projection: Projection) -> tuple[np.ndarray, np.ndarray]:
@@ -146,10 +151,10 @@ def sum_trials(fit: JointFit, trials: Sequence[AppliedEffect], projection: Proje
         label = np.broadcast_to(sector + SECTORS * (ring + RINGS * frame), shape).ravel()
         sums = np.zeros((2, len(trials), shape[0], RINGS * SECTORS))
         for k, applied in enumerate(trials):
-            change, rest = change_by_strength(model, applied, evaluation)
+            change, special_change = change_by_strength(model, applied, evaluation)
             others, absorbed = fitted, projection.absorbed[:, k]
-            if rest is not None:
-                others, absorbed = [*fitted, rest], np.append(absorbed, projection.of_rest[k])
+            if special_change is not None:
+                others, absorbed = [*fitted, special_change], np.append(absorbed, projection.of_special_case[k])
             by_shape = None if shape_changes is None else shape_changes[k]
             change = subtract_absorbed(evaluation, batch, change, absorbed, others, by_shape)
             for j, values in enumerate((evaluation.score_per_pixel(change), evaluation.information_per_pixel(change))):

@@ -27,7 +27,7 @@ from spotcheck.discrepancy.starting_spots import (
     usable_cells,
 )
 from spotcheck.io import store
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.model.forward import ForwardModel
 
 UNKNOWN_SENSOR = "gain or read noise of the sensor is unknown, and the frames do not tell them"
@@ -93,7 +93,7 @@ def prepare_dataset(
         remarks.append(f"{left_out} of {len(frames)} {text}")
         frames = frames.select(np.flatnonzero(shows_spot))
         cells = [cell for cell, is_kept in zip(cells, shows_spot, strict=True) if is_kept]
-    baseline = of_instrument(dataset.instrument, dataset.exposures)
+    baseline = build_baseline(dataset.instrument, dataset.exposures)
     spots: FrameParameters | str
     if fits is not None and has_any_trusted_fit(fits, cells):
         spots = load_spots(fits, frames, cells)
@@ -148,10 +148,11 @@ def describe_unusable(dataset: Dataset, crops: xr.Dataset) -> str:
 
 
 def find_shared_spots(frames: FrameSet, crop_px: int) -> np.ndarray:
-    """Return which frames show the spot of their site [frame].
+    """Return a mask [frame], True for frames that show the spot of their site.
 
-    Crops are centred on their light. Crops of a site that lie far apart show different things. The frame with
-    most neighbours counts as the spot of the site, with these; among equals, that with the longest exposure.
+    Crops are centred on their light, so that crops of a site that lie far apart show different things. The crops near
+    each frame of a site form a group. The largest group shows the spot of the site; of several such groups, the one
+    with the longest exposure.
 
     Parameters
     ----------

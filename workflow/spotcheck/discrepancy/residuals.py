@@ -30,7 +30,7 @@ class ResidualImages:
     spots: FrameParameters  # fitted spots
 
 
-def whole_crops(frames: FrameSet) -> Pixels:
+def select_all_pixels(frames: FrameSet) -> Pixels:
     """Return all pixels of the crops, without the variance and dispersion of granular light."""
     _, rows, columns = frames.readings.shape
     is_used = np.isfinite(frames.readings)
@@ -49,7 +49,7 @@ def whole_crops(frames: FrameSet) -> Pixels:
 
 def measure_residuals(model: JointModel, frames: FrameSet) -> ResidualImages:
     """Return the residuals of all pixels of the crops under a model of these frames, in single precision."""
-    pixels = whole_crops(frames)
+    pixels = select_all_pixels(frames)
     shape = frames.readings.shape
     images = {name: np.empty(shape, np.float32) for name in ("residual", "weight", "slope", "spot")}
     is_dark = np.empty(shape, bool)

@@ -420,7 +420,7 @@ def finish_step(step: SelectionStep) -> SelectionStep:
 def withdraw_effects(
     selected: SelectedEffects, names: Sequence[str], scales: EffectScales, log: Log
 ) -> SelectedEffects:
-    """Return the selection without the named effects; the remaining ones are fitted and tested anew."""
+    """Return the selection without the effects of some names; the remaining ones are fitted and tested anew."""
     model = selected.fit.model
     removed = [name for name in names if name in model.effect_names]
     if not removed:

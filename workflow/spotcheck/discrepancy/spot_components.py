@@ -19,7 +19,11 @@ ORDER_POWERS, SLOW_POWERS = 4, 2
 
 
 def build_factors(design: Design) -> dict[str, np.ndarray]:
-    """Return columns [frame, k]: one indicator per "angle" and "exposure", and powers of the "order"."""
+    """Return columns [frame, k] from which means of laws are built, by the condition on which they depend.
+
+    "angle" and "exposure" have a column for each distinct value, 1 for its frames and 0 for others. "order" has the
+    powers 1 to `ORDER_POWERS` of the position in the order of acquisition, counted from the middle.
+    """
     return {
         "angle": _indicators(design.angle),
         "exposure": _indicators(design.exposure_s),

@@ -170,15 +170,18 @@ def solve_trials(
     tries : int
         Most distances that are tried for each.
     """
-    solved = list(trials)
+    latest_trials = list(trials)
     for _ in range(tries):
-        active = [k for k, trial in enumerate(solved) if not trial.is_final]
+        active = [k for k, trial in enumerate(latest_trials) if not trial.is_final]
         if not active:
             break
-        moved = [solved[k] if np.isnan(solved[k].excess) else solved[k].move() for k in active]
-        for k, trial, estimate in zip(active, moved, measure(moved), strict=True):
-            solved[k] = trial.record(estimate)
-    return solved
+        # A trial without an estimate is measured at its first distance.
+        moved_trials = [
+            latest_trials[k] if np.isnan(latest_trials[k].excess) else latest_trials[k].move() for k in active
+        ]
+        for k, trial, estimate in zip(active, moved_trials, measure(moved_trials), strict=True):
+            latest_trials[k] = trial.record(estimate)
+    return latest_trials
 
 
 def list_trials(effects: Sequence[Effect], scales: EffectScales) -> list[Trial]:

@@ -23,7 +23,7 @@ from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixe
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
-from spotcheck.discrepancy.residuals import ResidualImages, place_on_sensor, sum_over_blocks, whole_crops
+from spotcheck.discrepancy.residuals import ResidualImages, place_on_sensor, select_all_pixels, sum_over_blocks
 from spotcheck.model.effect import AppliedEffect, RandomStep
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.stage import Stage
@@ -234,7 +234,7 @@ class _BlockResiduals:
 
 def _compare_frames(model: JointModel, scatter: FrameScatter, frames: FrameSet) -> Prediction:
     """Return the comparison of frames with a model whose spots are final."""
-    pixels = whole_crops(frames)
+    pixels = select_all_pixels(frames)
 
     def compare_batch(batch: slice) -> tuple[_BlockResiduals, float]:
         """Return the blocks and the score of a batch of frames."""

@@ -157,7 +157,7 @@ def _check_size(frame: Frame, shape: tuple[int, ...], maps: SensorMaps) -> None:
     if expected != shape:
         raise InputError(
             f"{frame.label}: has {shape[1]} × {shape[0]} px, but maps.nc of the results {expected[1]} × {expected[0]}"
-            " px; correct frames of the sensor's same part"
+            " px; take frames and results of the same part of the sensor"
         )
 
 

@@ -63,8 +63,9 @@ def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]
     light = np.linspace(0.0, MAX_LIGHT * full_scale, CURVE_POINTS)
     # The full well of the data sheet is one of the limits below, and no part of the curve.
     without_well = replace(sensor, full_well_e=np.inf)
-    # Only the stages of the sensor count, so the baseline, which describes the spot, is arbitrary.
-    model = ForwardModel(Baseline(0.0, "free", False, 1.0), without_well, None, tuple(effects))
+    # The baseline describes the spot. It is arbitrary here, since only the stages of the sensor count.
+    baseline = Baseline(laser_px=0.0, photon_budget="free", top_hat=False, longest_s=1.0)
+    model = ForwardModel(baseline, without_well, effects=tuple(effects))
     distribution = model.distribution()
     # Charge behind the well, times the gain [DN].
     charge_dn = distribution.charge_signal(light / gain)

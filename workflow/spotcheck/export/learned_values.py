@@ -91,7 +91,7 @@ def collect_learned_values(results: Path, instrument: Instrument) -> tuple[list[
         else:
             values |= {value.key: value for value in _replace_gain(values, gain, stderr)}
             linear_keys = [f"sensor.{name}" for name in OF_LINEAR_RESPONSE]
-            unused += [_reject_linear(values.pop(key)) for key in linear_keys if key in values]
+            unused += [_exclude_linear_quantity(values.pop(key)) for key in linear_keys if key in values]
     for result in (_read_light(results, verdict), _collect_bad_pixels(results, instrument, sensor)):
         if isinstance(result, LearnedValue):
             values[result.key] = result
@@ -256,8 +256,11 @@ def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float
             yield replace(quantity, value=quantity.value * ratio, stderr=quantity.stderr * ratio, source=source)
 
 
-def _reject_linear(quantity: LearnedValue) -> UnusedResult:
-    """Return as unused a quantity that photon transfer derived from a linear response, which an effect contradicts."""
+def _exclude_linear_quantity(quantity: LearnedValue) -> UnusedResult:
+    """Return a quantity as unused, because it assumes a linear response and an effect of the verdict contradicts this.
+
+    Photon transfer derives such quantities (`OF_LINEAR_RESPONSE`).
+    """
     reason = "it assumes a linear response; run flats with the new instrument file to measure it"
     return UnusedResult(quantity.key, quantity_text(quantity.value, quantity.stderr, quantity.unit), reason)
 

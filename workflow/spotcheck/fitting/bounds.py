@@ -15,7 +15,7 @@ from spotcheck.fitting.variables import add_variable
 from spotcheck.fitting.width_law import WidthLaw
 from spotcheck.io import progress
 from spotcheck.model import spot
-from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.baseline import Baseline, build_baseline
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import mean_signal
 
@@ -63,8 +63,8 @@ def compute_peak_bounds(
         photons = spot.circular_gaussian(pixel[None, :], pixel[:, None], peak, 0.0, 0.0, sigma)
         return mean_signal(photons, dark_e, 1.0, sensor.quantum_efficiency)
 
-    # Information of a pixel on its mean electrons [1/e-²], in the order of `DENSITIES`. A mean in DN that is taken for
-    # a Poisson mean has K times the information.
+    # Information of a pixel on its mean electrons [1/e-²], in the order of `DENSITIES`. The paper takes the mean in DN
+    # for the mean of a Poisson distribution, which gives K times the information.
     pixel_informations = (
         lambda mean: fisher.read_noise_information(np.maximum(mean, LEAST_MEAN_E), sensor.read_noise_e),
         lambda mean: fisher.poisson_information(np.maximum(mean, LEAST_MEAN_E)),
@@ -102,7 +102,7 @@ def compute_bounds(
     law = read_width_law(calibration)
     if law is None:
         return ds.assign_attrs(skipped="bounds need a peak that is not at full scale")
-    baseline = of_instrument(instrument, exposures)
+    baseline = build_baseline(instrument, exposures)
     curve_exposures, median_exposure = sample_exposures(baseline, law, exposures), float(np.median(exposures))
     dn_per_photon = sensor.gain_dn_per_e * sensor.quantum_efficiency
 
@@ -114,7 +114,9 @@ def compute_bounds(
     spots = [spot_at(t) for t in curve_exposures]
     median_photons, median_sigma = spot_at(median_exposure)
     photons = median_photons * np.logspace(-PHOTON_DECADES / 2, PHOTON_DECADES / 2, POINTS)
-    add_variable(ds, "law", "law", np.array([*DENSITIES], dtype=object), "1", "density that the information is of")
+    add_variable(
+        ds, "law", "law", np.array([*DENSITIES], dtype=object), "1", "density of a reading under which the bound holds"
+    )
     add_variable(ds, "fine_exposure", "fine_exposure", curve_exposures, "s", "exposure time")
     add_variable(ds, "photons", "photons", photons, "1", "photons on the brightest pixel")
     # Photons, σ_g [px] and exposure time [s] of the points of both curves.

@@ -20,7 +20,7 @@ from spotcheck.fitting.likelihood import JointFit, SiteFrame, fit_baseline
 from spotcheck.fitting.variables import add_variable
 from spotcheck.fitting.width_law import WidthLaw, find_peak, fit_simulated_widths, regress_widths
 from spotcheck.io import store
-from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.baseline import Baseline, build_baseline
 from spotcheck.sensor import SensorModel
 
 # Estimators of p1 and p2: name in calibration.nc, and description.
@@ -67,7 +67,7 @@ def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, senso
     exposures = fits["exposure"].values if "exposure" in fits.coords else np.empty(0)
     if reason := explain_missing_law(instrument, exposures):
         return ds.assign_attrs(skipped=reason)
-    baseline = of_instrument(instrument, exposures)
+    baseline = build_baseline(instrument, exposures)
     widths, site_dims = _select_widths(fits)
     if (np.isfinite(widths.values).sum(axis=-1) < 2).all():
         return ds.assign_attrs(skipped=TOO_FEW_EXPOSURES)
@@ -175,9 +175,23 @@ def _average_maxima(crops: xr.Dataset) -> np.ndarray:
 def _fit_all_frames(
     crops: xr.Dataset, fits: xr.Dataset, model: Baseline, sensor: SensorModel, law: WidthLaw, site_dims: tuple[str, ...]
 ) -> JointFit:
-    """Fit the baseline to all frames with a fit at once, with one centre for each site, starting at `law`.
+    """Fit the baseline to all frames at once that have a spot fit, with one centre for each site.
 
-    The centre of a site starts at that of its longest exposure with a fit. Sites without a fit are left out.
+    The fit starts at `law`, and at the centre of the longest exposure of each site. Sites without a spot fit are left
+    out.
+
+    Parameters
+    ----------
+    crops, fits : Dataset
+        crops.nc and fits.nc.
+    model : Baseline
+        Model of the light.
+    sensor : SensorModel
+        Model of the sensor.
+    law : WidthLaw
+        Width law from which p1, p2 and the peak start.
+    site_dims : tuple of str
+        Dimensions of the grid that distinguish sites.
     """
     light_crops, light_fits = crops.sel(centring="light"), select_preferred_fits(fits)
     frames: list[SiteFrame] = []
@@ -206,7 +220,8 @@ def _add_biases(
 ) -> None:
     """Add the bias of p1 and p2 [px] of each estimator: the values from fits of simulated frames, less those simulated.
 
-    `models` and `laws` hold the baseline and the width law of each estimator. The bias is NaN without a law.
+    `models` and `laws` hold the baseline and the width law of each estimator. The bias is NaN without a law. Frames are
+    simulated at the exposures [exposure] in s, with `side` rows and columns.
     """
     biases = np.full((len(ESTIMATORS), 2), np.nan)
     for k, estimator in enumerate(ESTIMATORS):

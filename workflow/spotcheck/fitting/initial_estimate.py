@@ -28,7 +28,8 @@ LEAST_NEIGHBOUR_LIGHT = 0.25
 BRIGHT_NEIGHBOURS = 3
 # Fewest blocks for an estimate of the offset.
 FEWEST_BLOCKS = 8
-# All seven parameters θ are free in a fit.
+# All seven parameters θ are free in a fit. `Parametrization(ALL_FREE, False, False)` means: neither widths and
+# orientation instead of θ, nor a circular spot.
 ALL_FREE = np.ones(7, dtype=np.bool_)
 
 

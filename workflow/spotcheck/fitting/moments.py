@@ -156,7 +156,10 @@ def _fill_gaps(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _estimate_start(pixels: np.ndarray) -> _Ellipse | None:
-    """Return the ellipse of the Gaussian that fills the same region above half of its peak; None without a spot."""
+    """Return the ellipse of the Gaussian that fills the same region above half of its peak; None without a spot.
+
+    `pixels` is an image [rows, columns] in DN.
+    """
     if min(pixels.shape) < SMALLEST_SIDE:
         return None
     spot = find_light_centroid(pixels, min(pixels.shape))
@@ -223,7 +226,7 @@ def _find_background_pixels(ellipse: _Ellipse, area: _Area, shape: tuple[int, ..
 
 
 def _estimate_background(pixels: np.ndarray, ellipse: _Ellipse, area: _Area) -> tuple[float, float]:
-    """Return the background around the area and its standard error, both in DN.
+    """Return the background of an image `pixels` [rows, columns] around the area and its standard error, both in DN.
 
     The background is the median of the mean readings of all sectors; a second spot in a few of them does not change it.
     """

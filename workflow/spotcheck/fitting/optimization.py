@@ -214,9 +214,21 @@ def fit_least_squares(image, point, law, top_hat, coordinates):
 def run_fisher_scoring(image, point, weighting, law, top_hat, coordinates):
     """Find the root of the score by Fisher scoring.
 
-    `image` [row, column] is in DN, `point` [7] is the start, and `weighting` is one of those of `score_spot`. Return
-    the point [7], the information of the free coordinates [free, free], χ² (or Σ residual² [DN²] with equal weights),
-    its number of pixels, and whether the root was reached. Otherwise information and χ² are NaN and the number is 0.
+    Parameters
+    ----------
+    image : readings [row, column] in DN.
+    point : start of the search [7].
+    weighting : weights of the pixels: `EQUAL`, `LIKELIHOOD` (their information) or `VARIANCE` of `spot_score`.
+    law : distribution of a reading (`ReadingLaw`).
+    top_hat : whether the light is cut to a plateau.
+    coordinates : meaning of the coordinates of a point (`Parametrization`).
+
+    Returns
+    -------
+    tuple
+        Point [7], information of the free coordinates [free, free], χ² (or Σ residual² [DN²] with equal weights),
+        number of pixels in χ², and whether the root was reached. Without a root, information and χ² are NaN, and the
+        number is 0.
     """
     shrink, previous_step, previous_decrement = 1.0, np.zeros(7), 0.0
     if weighting != EQUAL and coordinates.free[6]:

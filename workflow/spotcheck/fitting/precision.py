@@ -18,7 +18,7 @@ from spotcheck.fitting.fit_results import PARAMETERS
 from spotcheck.fitting.variables import add_variable
 from spotcheck.fitting.width_law import WidthLaw
 from spotcheck.io import store
-from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.baseline import Baseline, build_baseline
 from spotcheck.sensor import SensorModel
 
 # Parameters whose scatter is evaluated. The orientation of a round spot is undefined, so its scatter has no meaning.
@@ -108,7 +108,7 @@ def compute_precision(
     if law is None:
         reason = calibration.attrs.get("skipped", "no peak was found below full scale")
         return ds.assign_attrs(no_design=f"the bound over exposure needs a law in t: {reason}")
-    _add_bounds_over_exposure(ds, of_instrument(instrument, exposures), law, exposures, sensor, side)
+    _add_bounds_over_exposure(ds, build_baseline(instrument, exposures), law, exposures, sensor, side)
     return ds
 
 
@@ -148,8 +148,9 @@ def _add_bounds_over_exposure(
 ) -> None:
     """Add the bounds of one frame over exposure time, the best and the sufficient exposure, and the plateau.
 
-    The bounds are computed at closely spaced times of a curve and at the `exposures` [exposure] in s of the dataset.
-    The plateau is the mean reading where a top hat cuts the light, along the curve.
+    The bounds are computed at closely spaced times of a curve and at the `exposures` [exposure] in s of the dataset,
+    for images of `side` rows and columns. The plateau is the mean reading where a top hat cuts the light, along the
+    curve.
     """
     curve_exposures = sample_exposures(baseline, law, exposures)
     add_variable(ds, "fine_exposure", "fine_exposure", curve_exposures, "s", "exposure time")

@@ -59,16 +59,24 @@ def spot_bounds(
 
     Parameters
     ----------
-    sensor : gain, read noise, black level and full scale, and dark current if there is an exposure.
-    shape : rows and columns of the image.
-    amplitude : peak of the Gaussian above its offset [DN]; K η times the photons on the brightest pixel.
-    sigma_major, sigma_minor : standard deviations along the long and the short axis [px]; without the second the spot
-        is round.
-    orientation : direction of the long axis, from +x (right) towards +y (down) [degree].
-    offset : reading under the Gaussian [DN]; by default the black level plus dark current during `exposure_s`.
-    x_centre, y_centre : column and row of the centre [px]; by default the middle of the image.
-    exposure_s : exposure time [s], for dark current alone.
-    top_hat : whether the Gaussian is cut to a plateau at exp(−1/4) of its peak.
+    sensor : SensorModel
+        Gain, read noise, black level and full scale, and dark current if there is an exposure.
+    shape : tuple of int
+        Rows and columns of the image.
+    amplitude : float
+        Peak of the Gaussian above its offset [DN]; K η times the photons on the brightest pixel.
+    sigma_major, sigma_minor : float
+        Standard deviations along the long and the short axis [px]; without the second the spot is round.
+    orientation : float
+        Direction of the long axis, from +x (right) towards +y (down) [degree].
+    offset : float, optional
+        Reading under the Gaussian [DN]; by default the black level plus dark current during `exposure_s`.
+    x_centre, y_centre : float, optional
+        Column and row of the centre [px]; by default the middle of the image.
+    exposure_s : float
+        Exposure time [s], for dark current alone.
+    top_hat : bool
+        Whether the Gaussian is cut to a plateau at exp(−1/4) of its peak.
 
     Returns
     -------

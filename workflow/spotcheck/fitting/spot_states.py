@@ -9,7 +9,7 @@ from spotcheck.dataset.folder import Dataset
 from spotcheck.fitting.calibration import read_width_law
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.model.conditions import SpotState
 from spotcheck.model.simulation import SpotStates
 
@@ -33,5 +33,5 @@ def list_spot_states(dataset: Dataset, calibration: xr.Dataset, fits: xr.Dataset
         is_usable = (spots["amplitude"] > 0) & (spots["status"] & store.UNTRUSTED == 0)
         peaks, widths = spots["amplitude"].where(is_usable).values, spots["sigma_mean"].values
         return {index: SpotState(float(peaks[index]), float(widths[index])) for index, _ in dataset.cells()}
-    baseline = of_instrument(dataset.instrument, dataset.exposures)
+    baseline = build_baseline(dataset.instrument, dataset.exposures)
     return {index: SpotState(*law.spot_at(baseline, frame.exposure_s)) for index, frame in dataset.cells()}

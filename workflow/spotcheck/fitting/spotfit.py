@@ -75,20 +75,28 @@ def fit_spots(
 
     Parameters
     ----------
-    images : one image [rows, columns] in DN, or several, of one size or of many. Pixels that are NaN or masked are left
-        out. Readings need not be whole: a mean of n frames has their gain over n and their read noise times √n. A
-        single image gives a single spot: plain numbers in place of arrays.
-    sensor : gain, read noise, black level, full scale and curvature of the response; the fitted offset includes dark
+    images : ndarray or iterable of ndarray
+        One image [rows, columns] in DN, or several, of one size or of many. Pixels that are NaN or masked are left out.
+        Readings need not be whole: a mean of n frames has their gain over n and their read noise times √n. A single
+        image gives a single spot: plain numbers in place of arrays.
+    sensor : SensorModel, optional
+        Gain, read noise, black level, full scale and curvature of the response; the fitted offset includes dark
         current.
-    weighting : "likelihood", or "equal" for unweighted least squares with the errors that the sensor's noise causes.
-        Without a sensor, errors with equal weights are those of white noise as large as the residuals, and χ² is NaN.
-        These errors are too small with shot noise, by a factor of two to three for a bright spot.
-    top_hat : whether the Gaussian has a plateau at exp(−1/4) of its peak (Eqs. 39–40 of the paper).
-    integrated : whether a pixel reads the mean of the light over it, not the light at its centre. Amplitude and widths
-        are then those of the light itself, to 2e-3/σ⁴ of the peak for a width of σ px.
-    fixed : values of parameters that are not fitted, such as `{"offset": 40.0}`; their standard error is 0.
-    circular : whether one width is fitted for both axes.
-    maps : offsets and gains of the images' pixels with their uncertainty; equal weights ignore them.
+    weighting : {"likelihood", "equal"}
+        "likelihood", or "equal" for unweighted least squares with the errors that the sensor's noise causes. Without a
+        sensor, errors with equal weights are those of white noise as large as the residuals, and χ² is NaN. These
+        errors are too small with shot noise, by a factor of two to three for a bright spot.
+    top_hat : bool
+        Whether the Gaussian has a plateau at exp(−1/4) of its peak (Eqs. 39–40 of the paper).
+    integrated : bool
+        Whether a pixel reads the mean of the light over it, not the light at its centre. Amplitude and widths are then
+        those of the light itself, to 2e-3/σ⁴ of the peak for a width of σ px.
+    fixed : mapping of str to float, optional
+        Values of parameters that are not fitted, such as `{"offset": 40.0}`; their standard error is 0.
+    circular : bool
+        Whether one width is fitted for both axes.
+    maps : PixelMaps, optional
+        Offsets and gains of the images' pixels with their uncertainty; equal weights ignore them.
 
     Returns
     -------

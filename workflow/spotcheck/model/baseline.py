@@ -107,7 +107,7 @@ class Baseline:
         return spot.top_hat_level(peak_dn) if self.top_hat else peak_dn
 
 
-def of_instrument(instrument: Instrument, exposures_s) -> Baseline:
+def build_baseline(instrument: Instrument, exposures_s) -> Baseline:
     """Return the baseline of an instrument file, for a dataset with these exposures [s], in any order.
 
     Without optics, laser or pixel pitch the laser's own width is 0 px. Raises `InputError` if the file of the learned

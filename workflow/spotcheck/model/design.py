@@ -13,7 +13,7 @@ from spotcheck.dataset.folder import Dataset, load
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.errors import InputError
 from spotcheck.io import provenance
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.model_file import ExtendedModel, read_model
 from spotcheck.model.simulation import CANVAS, Destination, simulate_extended
@@ -43,15 +43,22 @@ def simulate_dataset(
 
     Parameters
     ----------
-    design : dataset folder whose manifest.csv names the frames and whose instrument.yaml describes camera and optics;
-        its own images need not exist.
-    folder : folder to write, which must not hold a dataset yet: manifest.csv, instrument.yaml, one TIFF stack in
-        frames/, and expected.nc with the mean light and the mean reading of every crop.
-    p1_px, p2_px : parameters of the width [px].
-    peak_dn : peak of the Gaussian at the longest exposure [DN].
-    model : model.yaml, such as a verdict writes, in place of these three.
-    sensor : the camera; by default the one of instrument.yaml, which must then give gain, read noise and bit depth.
-    seed : seed of all random numbers.
+    design : str or Path
+        Dataset folder whose manifest.csv names the frames and whose instrument.yaml describes camera and optics; its
+        own images need not exist.
+    folder : str or Path
+        Folder to write, which must not hold a dataset yet: manifest.csv, instrument.yaml, one TIFF stack in frames/,
+        and expected.nc with the mean light and the mean reading of every crop.
+    p1_px, p2_px : float, optional
+        Parameters of the width [px].
+    peak_dn : float, optional
+        Peak of the Gaussian at the longest exposure [DN].
+    model : str or Path, optional
+        model.yaml, such as a verdict writes, in place of these three.
+    sensor : SensorModel, optional
+        The camera; by default the one of instrument.yaml, which must then give gain, read noise and bit depth.
+    seed : int
+        Seed of all random numbers.
 
     Returns
     -------
@@ -121,7 +128,7 @@ def _build_baseline_model(design: Dataset, law: ExposureLaw) -> ExtendedModel:
     Spots without a known place are simulated in the middle of the frame. Raises `InputError` if the design has no
     exposure law, or if the law gives a peak or a width that is not above 0.
     """
-    baseline = of_instrument(design.instrument, design.exposures)
+    baseline = build_baseline(design.instrument, design.exposures)
     if baseline.photon_budget == "free":
         raise InputError(
             "simulate_dataset: p1_px, p2_px and peak_dn are a law in exposure, and the design has no exposures or"

@@ -242,7 +242,10 @@ class ForwardModel(LightStages):
     # Random steps.
 
     def _random_steps(self) -> Iterator[tuple[AppliedStep, RandomStep]]:
-        """Yield the random steps of all effects in the order of the stages: with its parameters, and without."""
+        """Yield (step with the parameters of its effect, the same step without them) of each random step.
+
+        Steps are in the order of the stages.
+        """
         for stage in Stage:
             yield from ((step, step.random_step) for step in self.steps_at(stage) if step.random_step)
 

@@ -40,7 +40,11 @@ def sensor_irradiance(irradiance, reflectance: float, scattering, f_number: floa
 
 
 def pixel_photons(irradiance, exposure_s, pixel_area_m2: float, wavelength_m: float):
-    """Return µ_p [1], the mean number of photons on a pixel under an irradiance E_px [W/m²] (Eq. 12)."""
+    """Return µ_p [1], the mean number of photons on a pixel during an exposure (Eq. 12).
+
+    `irradiance` is E_px [W/m²], `exposure_s` the exposure [s], `pixel_area_m2` the area of the pixel [m²] and
+    `wavelength_m` the wavelength [m].
+    """
     return pixel_area_m2 * irradiance * exposure_s * wavelength_m / (h * c)
 
 

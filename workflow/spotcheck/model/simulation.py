@@ -23,7 +23,7 @@ from spotcheck.crops import spotfinding
 from spotcheck.dataset.folder import Dataset
 from spotcheck.errors import InputError
 from spotcheck.io import progress, store
-from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.baseline import Baseline, build_baseline
 from spotcheck.model.conditions import FrameConditions, PixelGrid, SpotState, crop_grid
 from spotcheck.model.forward import ForwardModel, RandomStreams
 from spotcheck.model.light_shape import LIGHT
@@ -188,7 +188,7 @@ def simulate(
         Further attributes of the file of mean images.
     """
     # The paper's model has no learned light shape.
-    baseline = replace(of_instrument(dataset.instrument, dataset.exposures), learned=None)
+    baseline = replace(build_baseline(dataset.instrument, dataset.exposures), learned=None)
     noise_free = SensorModel(gain_dn_per_e=1.0, read_noise_e=0.0, full_scale_dn=full_scale)
     model = ForwardModel(baseline, sensor) if sensor else NoiseFreeModel(baseline, noise_free)
     attributes = {"noise": "drawn" if sensor else "none: gain or read noise of the sensor is unknown", **attributes}
@@ -225,7 +225,7 @@ def simulate_extended(
     if not dataset.exposures:
         # As in the verdict: without exposures the dark signal is unknown.
         sensor = replace(sensor, dark_current_e_per_s=0.0)
-    forward = ForwardModel(of_instrument(dataset.instrument, dataset.exposures), sensor, model.law, model.effects)
+    forward = ForwardModel(build_baseline(dataset.instrument, dataset.exposures), sensor, model.law, model.effects)
     check_model(dataset, model, forward.baseline, sensor, name)
     spots, side = _spots_of_frames(dataset, model), dataset.instrument.crop_px
     # Positions remain those of the whole sensor, to which pedestals, fringes and smear refer.

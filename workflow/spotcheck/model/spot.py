@@ -45,8 +45,8 @@ def circular_gaussian(x, y, amplitude, x0, y0, sigma):
 def elliptical_gaussian(x, y, amplitude, x0, y0, sigma_major, sigma_minor, orientation, offset=0.0):
     """Return the light at (x, y) of an elliptical Gaussian plus `offset`, in the unit of its peak `amplitude`.
 
-    Positions and widths, standard deviations along the long and the short axis, are in px. `orientation` is the angle
-    of the long axis [rad].
+    The centre is (x0, y0) [px]. `sigma_major` and `sigma_minor` are the standard deviations along the long and the
+    short axis [px], and `orientation` is the angle of the long axis [rad].
     """
     cos, sin = np.cos(orientation), np.sin(orientation)
     along = ((x - x0) * cos + (y - y0) * sin) / sigma_major

@@ -16,7 +16,7 @@ import numpy as np
 
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.model import propagation
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.paper.results import Results
 
 # p1 and p2 as printed [px] (Section 6.1).
@@ -51,7 +51,7 @@ def printed_curves(instrument: Instrument) -> tuple[np.ndarray, np.ndarray, np.n
     """
     exposure_s = np.geomspace(SHORTEST_S, LONGEST_S, POINTS)
     propagation_px = propagation.beam_propagation(exposure_s, PRINTED_P1_PX, PRINTED_P2_PX)
-    laser_px = of_instrument(instrument, exposure_s).laser_px
+    laser_px = build_baseline(instrument, exposure_s).laser_px
     sigma_px = propagation.spot_sigma(propagation_px, laser_px)
     return (exposure_s, *relative_variances(propagation_px, sigma_px))
 

@@ -12,7 +12,7 @@ import math
 
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.model import optics, photons, propagation, spot
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.paper.results import require_key
 
 
@@ -36,7 +36,7 @@ def estimate_plateau_levels(
     magnification = optics.magnification(focal_length, require_key(instrument, "optics.working_distance_m"))
     # ASSUME: a round laser spot, as wide as both axes on average.
     fwhm_m = (require_key(instrument, "laser.fwhm_x_m") + require_key(instrument, "laser.fwhm_y_m")) / 2
-    sigma_px = float(of_instrument(instrument, [exposure_s]).sigma(exposure_s, p1, p2))
+    sigma_px = float(build_baseline(instrument, [exposure_s]).sigma(exposure_s, p1, p2))
     propagation_px = float(propagation.beam_propagation(exposure_s, p1, p2))
     dn_per_photon = gain * instrument.sensor.quantum_efficiency
 

@@ -14,7 +14,7 @@ from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.errors import InputError
 from spotcheck.io import store
-from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.baseline import Baseline, build_baseline
 
 # Kind of crop that the paper uses: centred on the maximum of the frame, not on the centroid of the light.
 CENTRING = "maximum"
@@ -85,4 +85,4 @@ class Results:
     @cached_property
     def baseline(self) -> Baseline:
         """Baseline of the dataset: the paper's model without effects."""
-        return of_instrument(self.dataset.instrument, self.metrics["exposure"].values)
+        return build_baseline(self.dataset.instrument, self.metrics["exposure"].values)

@@ -184,7 +184,10 @@ def width_gap_in_sd(results: Results) -> float:
 
 
 def sum_sd_similar(results: Results) -> float:
-    """Return the largest divided by the smallest standard deviation of the sum of a crop among exposures [1]."""
+    """Return the largest divided by the smallest standard deviation of the sum of a crop among exposures [1].
+
+    The standard deviation of an exposure is the root mean square of those of its angles.
+    """
     return _ratio_of_extremes(results.measured["sum_sd"])
 
 

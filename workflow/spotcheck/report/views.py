@@ -24,12 +24,12 @@ from spotcheck.discrepancy.evaluation import evaluate
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import spot_conditions
-from spotcheck.discrepancy.residuals import whole_crops
+from spotcheck.discrepancy.residuals import select_all_pixels
 from spotcheck.discrepancy.starting_spots import FittedSpots, acts_on_mean, fit_spots
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.spot_states import list_spot_states
 from spotcheck.io import progress, store
-from spotcheck.model.baseline import Baseline, of_instrument
+from spotcheck.model.baseline import Baseline, build_baseline
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.model_file import ExtendedModel, Site, site_of
@@ -89,7 +89,7 @@ class ModelledFrames:
         index = np.array([k])
         frame = frames.select(index)
         model = JointModel(self.lights[self.light_index[k]], self.fitted.spots.select(index), frame.design)
-        return evaluate(model, whole_crops(frame), slice(0, 1), with_slopes=False).moments.mean[0]
+        return evaluate(model, select_all_pixels(frame), slice(0, 1), with_slopes=False).moments.mean[0]
 
     def compute_log_spots(self, frames: FrameSet) -> np.ndarray:
         """Return ln peak [DN] and ln σ_g [px] of the fitted spots after the effects act on them, [2, frame]."""
@@ -363,7 +363,7 @@ def simulate_views(dataset: Dataset, files: Mapping[str, xr.Dataset], sensor: Se
     """
     crops, fits = files["crops"].sel(centring="light"), select_preferred_fits(files["fits"])
     states = list_spot_states(dataset, files["calibration"], files["fits"])
-    baseline = of_instrument(dataset.instrument, dataset.exposures)
+    baseline = build_baseline(dataset.instrument, dataset.exposures)
     dims, pixel = store.grid_dims(files["crops"]), np.arange(dataset.instrument.crop_px, dtype=float)
     for index, row in dataset.cells():
         selection = dict(zip(dims, index, strict=True))

@@ -147,28 +147,32 @@ class ReadingDistribution:
         return Cumulants(*cumulants[:, index.reshape(light.shape)])
 
     def moments(self, light: np.ndarray) -> ReadingMoments:
-        """Return mean, variance and their slopes [light] at light [light] in DN, increasing and at least 0.
+        """Return mean and variance of readings and their slopes by the light.
 
         The moments of a reading given the number of electrons are averaged over the Poisson distribution. This is many
         times faster than computing the probability of each code (`cumulants`).
+        `light` [light] in DN is at least 0 and ascends.
         """
         mean_e = self.mean_electrons(light)
         signal = self.charge_signal(np.arange(find_possible_counts(mean_e[-1])[1] + 1.0))
+        # Mean and variance of a reading given each number of electrons, from 0 on [2, count].
         given_counts = self._moments_given_signal(signal)
-        # Moments of a reading whose charge stops at each charge level.
+        # The same for a pixel whose charge stops at each charge level [2, charge level].
         given_level = self._moments_given_signal(np.minimum([level for _, level in self.charge_levels], signal[-1]))
         # Mean, variance, and their slopes by the mean electrons.
         moments = np.empty((4, mean_e.size))
         for block in _split_into_blocks(mean_e):
             low, high = find_possible_counts(mean_e[block][0])[0], find_possible_counts(mean_e[block][-1])[1]
-            # Powers about the middle of the block keep the digits of small variances.
+            # Readings count from that in the middle of the block, since digits of a small variance would cancel.
             middle = given_counts[0, (low + high) // 2]
-            # Powers 0, 1 and 2 of reading − middle, as columns.
+            # Means of the powers 0, 1 and 2 of reading − middle, as columns [count or charge level, power].
             powers, level_powers = (
                 np.stack([np.ones(mean.size), mean - middle, variance + (mean - middle) ** 2], axis=1)
                 for mean, variance in (given_counts[:, low : high + 1], given_level)
             )
+            # Sums over the Poisson distribution of each mean number of electrons. All rows begin at column 0.
             sums = self._sum_over_counts(mean_e[block], low, np.zeros(len(powers), np.int64), powers, level_powers)
+            # Sums of the powers 0, 1 and 2, and their derivatives by the mean electrons.
             (total, shift, square), (total_slope, shift_slope, square_slope) = np.moveaxis(sums, 2, 1)
             # The weights sum to `total`, which is 1 up to rounding.
             shift, square = shift / total, square / total

@@ -32,15 +32,22 @@ class SensorModel:
 
     Parameters
     ----------
-    gain_dn_per_e : overall gain K [DN/e-].
-    read_noise_e : standard deviation of the noise in the dark [e-].
-    dark_current_e_per_s : dark current µ_I [e-/s].
-    full_well_e : number of electrons at which a pixel is full.
-    black_level_dn : reading without light and without electrons [DN].
-    full_scale_dn : largest reading [DN], 1023 for 10 bit.
-    quantum_efficiency : electrons per photon; with the default 1, photons are electrons.
-    response_bend : curvature of the response times full scale [1]: a signal y above black is read as
-        y − q y²/full scale.
+    gain_dn_per_e : float
+        Overall gain K [DN/e-].
+    read_noise_e : float
+        Standard deviation of the noise in the dark [e-].
+    dark_current_e_per_s : float
+        Dark current µ_I [e-/s].
+    full_well_e : float
+        Number of electrons at which a pixel is full.
+    black_level_dn : float
+        Reading without light and without electrons [DN].
+    full_scale_dn : float
+        Largest reading [DN], 1023 for 10 bit.
+    quantum_efficiency : float
+        Electrons per photon; with the default 1, photons are electrons.
+    response_bend : float
+        Curvature of the response times full scale [1]: a signal y above black is read as y − q y²/full scale.
 
     Examples
     --------

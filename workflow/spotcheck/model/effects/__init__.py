@@ -69,7 +69,7 @@ def chosen() -> Choice:
     return _choice
 
 
-def record() -> dict[str, Any]:
+def describe_vocabulary() -> dict[str, Any]:
     """Return how the vocabulary of this run differs from the effects of this folder, as files of results record it.
 
     The key `own` has a list of name, file and digest (`sha256`) of each effect from a file, `left_out` the names of
@@ -81,9 +81,10 @@ def record() -> dict[str, Any]:
 
 @cache
 def _gather(choice: Choice) -> tuple[dict[str, Effect], dict[str, list]]:
-    """Return the effects of a choice by name, in the order of their numbers, and the difference that `record` returns.
+    """Return the effects of a choice by name, in the order of their numbers, and their difference from the library's.
 
-    The difference has empty lists where there is none. Raises `InputError` as `choose` does.
+    The difference is that of `describe_vocabulary`, with empty lists where there is none. Raises `InputError` as
+    `choose` does.
     """
     effects, entries = dict(built_in()), []
     for file in choice.files:

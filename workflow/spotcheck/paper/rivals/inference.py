@@ -1,6 +1,10 @@
 """Fit of a world to summaries by an emulator, and the predictive score of held-out summaries.
 
-A realisation costs a second, so that summaries are emulated: the logarithm of each is a quadratic function of the
+A world is a forward model with free parameters that could have made the paper's frames. A summary is a number that the
+paper prints about its frames, such as the largest amplitude. A realisation is the set of summaries of one random
+simulation of all frames. A point of the unit cube gives each parameter a value between its limits.
+
+A realisation costs a second. Summaries are therefore emulated: the logarithm of each is a quadratic function of the
 parameters, with the covariance of realisations. The emulator is refined twice around its optimum.
 """
 
@@ -33,12 +37,15 @@ Simulator = Callable[[np.ndarray, int], np.ndarray]
 
 @dataclass(frozen=True)
 class Emulator:
-    """Transformed summaries of a world as quadratic functions of its parameters, with their covariance."""
+    """Logarithms of the summaries of a world as quadratic functions of its parameters, with their covariance.
+
+    The box is the part of the unit cube in which the realisations lie to which the functions were fitted.
+    """
 
     centre: np.ndarray  # middle of the box, in the unit cube [parameter]
     half: np.ndarray  # half the sides of the box [parameter]
-    coefficients: np.ndarray  # of the quadratic terms [term, summary]
-    covariance: np.ndarray  # of a realisation about the functions [summary, summary]
+    coefficients: np.ndarray  # coefficients of the quadratic terms [term, summary]
+    covariance: np.ndarray  # covariance of a realisation about the functions [summary, summary]
 
     def mean(self, point: np.ndarray) -> np.ndarray:
         """Return the mean of the transformed summaries at points of the unit cube [..., parameter]."""
@@ -53,25 +60,41 @@ class Emulator:
 class WorldFit:
     """Best parameters of a world for one set of summaries."""
 
-    point: np.ndarray  # in the unit cube [parameter]
-    chi2: float  # of the fitted summaries
+    point: np.ndarray  # parameters in the unit cube [parameter]
+    chi2: float  # χ² of the fitted summaries
     log_score: float  # ln of the predictive density of the held-out summaries
 
 
 def transform(summaries: np.ndarray) -> np.ndarray:
-    """Return summaries [..., summary] as the emulator has them."""
+    """Return the logarithms of summaries [..., summary], which the emulator uses; values are at least `SMALLEST`."""
     return np.log(np.maximum(summaries, SMALLEST))
 
 
 def expand_quadratic(points: np.ndarray) -> np.ndarray:
-    """Return 1, all parameters, and their products [..., term] of points [..., parameter]."""
+    """Return the terms of a quadratic function at points [..., parameter].
+
+    The terms [..., term] are 1, each parameter, and the products of all pairs of parameters, including squares.
+    """
     rows, columns = np.triu_indices(points.shape[-1])
     return np.concatenate([np.ones((*points.shape[:-1], 1)), points, points[..., rows] * points[..., columns]], axis=-1)
 
 
 def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed: tuple[int, ...]) -> Emulator:
-    """Return the emulator of a world around its best parameters for observed summaries [summary].
+    """Return the emulator of a world around its best parameters for observed summaries.
 
+    Parameters
+    ----------
+    world : World
+        The world.
+    simulate : Simulator
+        Draws realisations of the world.
+    observed : ndarray
+        Observed summaries [summary], in the order of `SUMMARIES`.
+    seed : tuple of int
+        Seed of the points at which the world is simulated.
+
+    Notes
+    -----
     Realisations whose summaries are not finite, such as those without a spot, are left out.
     """
     size = len(world.parameters)
@@ -90,9 +113,10 @@ def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed
 
 
 def describe_at_point(emulator: Emulator, point: np.ndarray, realisations: np.ndarray) -> Emulator:
-    """Return an emulator with the mean and the covariance of realisations [realisation, summary] at a point.
+    """Return an emulator with the mean and the covariance of realisations at a point.
 
-    Its slopes are those of the given emulator.
+    `point` [parameter] is in the unit cube, and `realisations` are [realisation, summary]. The slopes of the result are
+    those of the given emulator.
     """
     values = transform(realisations)
     coefficients = emulator.coefficients.copy()
@@ -101,7 +125,11 @@ def describe_at_point(emulator: Emulator, point: np.ndarray, realisations: np.nd
 
 
 def _fit_emulator(points: np.ndarray, values: np.ndarray, centre: np.ndarray, half: float) -> Emulator:
-    """Return the quadratic functions of least squares through transformed summaries [realisation, summary]."""
+    """Return the emulator that fits realisations best in least squares.
+
+    `points` [realisation, parameter] lie in a box of the unit cube with the middle `centre` [parameter] and half the
+    side `half`. `values` [realisation, summary] are logarithms of summaries.
+    """
     halves = np.full(points.shape[1], half)
     terms = expand_quadratic((points - centre) / halves)
     coefficients, *_ = np.linalg.lstsq(terms, values, rcond=None)
@@ -116,7 +144,10 @@ def _add_discrepancy(covariance: np.ndarray) -> np.ndarray:
 
 
 def fit_world(emulator: Emulator, observed: np.ndarray) -> WorldFit:
-    """Return the parameters of least χ² of the fitted summaries, and the score of the others."""
+    """Return the parameters of least χ² of the fitted summaries, and the log score of the held-out ones.
+
+    `observed` are summaries [summary] in the order of `SUMMARIES`.
+    """
     box = emulator.bounds()
     starts = qmc.Sobol(len(box.lb), rng=np.random.default_rng(0)).random(STARTS)
     results = [
@@ -136,7 +167,10 @@ def chi2_of_fitted(emulator: Emulator, observed: np.ndarray, point: np.ndarray) 
 
 
 def score_held_out(emulator: Emulator, observed: np.ndarray, point: np.ndarray) -> float:
-    """Return ln of the normal density of the held-out summaries, given the fitted ones; arguments as above."""
+    """Return ln of the normal density of the held-out summaries, given the fitted ones.
+
+    `observed` are summaries [summary], `point` are parameters in the unit cube [parameter].
+    """
     residual = transform(observed) - emulator.mean(point)
     covariance = emulator.covariance
     slope = np.linalg.solve(covariance[np.ix_(IS_FITTED, IS_FITTED)], covariance[np.ix_(IS_FITTED, IS_SCORED)]).T

@@ -1,7 +1,8 @@
-"""Predictions of worlds for measurements that the paper did not make, and the frames that would tell worlds apart.
+"""Predictions of worlds for measurements that the paper did not make, and the number of frames that separates worlds.
 
-Three experiments: shorter exposures, at which no pixel is clipped; a neutral-density filter at the longest exposure;
-and the profile of an unclipped spot.
+A world is a forward model with free parameters that could have made the paper's frames. A site is a place on the sample
+with its own brightness and speckle. Three experiments are predicted: shorter exposures, at which no pixel is clipped; a
+neutral-density filter at the longest exposure; and the profile of an unclipped spot.
 """
 
 from collections.abc import Sequence
@@ -85,7 +86,11 @@ def measure_profile_ratio(image: np.ndarray) -> float:
 
 
 def list_separations(predictions: Sequence[list[Prediction]]) -> list[list[float]]:
-    """Return the fewest frames that separate each pair of worlds [world, world]; 0 on the diagonal."""
+    """Return the smallest number of frames that separates each pair of worlds [world, world]; 0 on the diagonal.
+
+    `predictions` are those of each world, with the same quantities in the same order. The quantity that separates a
+    pair best counts.
+    """
     return [
         [0.0 if first is second else min(map(count_frames_to_separate, first, second)) for second in predictions]
         for first in predictions

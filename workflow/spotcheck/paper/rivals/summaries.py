@@ -18,11 +18,11 @@ ANGLES = 4
 
 @dataclass(frozen=True)
 class Summary:
-    """A printed summary."""
+    """A number that the paper prints about its measured frames."""
 
-    name: str
-    printed: float
-    unit: str
+    name: str  # name; `_smallest` and `_largest` are over the twelve pairs of angle and exposure
+    printed: float  # printed value [unit]
+    unit: str  # unit; "1" if dimensionless
     is_fitted: bool  # whether worlds are fitted to it; the others are held out
     is_limit: bool = False  # whether the print gives an upper limit, which has a p-value and no score
 
@@ -84,7 +84,7 @@ def summarise_readings(readings: np.ndarray) -> np.ndarray:
     }  # fmt: skip
     mean = {name: values.mean(axis=1) for name, values in by_angle.items()}
     sd = {name: values.std(axis=1, ddof=1) for name, values in by_angle.items()}
-    found = {
+    value_by_name = {
         "p1": p1.mean(),
         "p2": p2.mean(),
         "p1_sd": p1.std(ddof=1),
@@ -109,4 +109,4 @@ def summarise_readings(readings: np.ndarray) -> np.ndarray:
         "peak_ratio_smallest": mean["peak_ratio"].min(),
         "peak_ratio_largest": mean["peak_ratio"].max(),
     }
-    return np.array([found[summary.name] for summary in SUMMARIES], dtype=float)
+    return np.array([value_by_name[summary.name] for summary in SUMMARIES], dtype=float)

@@ -34,10 +34,10 @@ Values = Mapping[str, float]
 class Parameter:
     """A free parameter of a world."""
 
-    name: str
-    unit: str  # "1" if dimensionless
-    low: float  # smallest value that is tried
-    high: float  # largest value
+    name: str  # name in `World.values`
+    unit: str  # unit; "1" if dimensionless
+    low: float  # smallest value that is tried [unit]
+    high: float  # largest value that is tried [unit]
     is_log: bool = True  # whether values are tried evenly in their logarithm
 
 
@@ -45,16 +45,19 @@ class Parameter:
 class World:
     """A forward model of the paper's frames."""
 
-    name: str
-    title: str  # for tables and legends
-    parameters: tuple[Parameter, ...]
+    name: str  # key of the world
+    title: str  # name for tables and legends
+    parameters: tuple[Parameter, ...]  # free parameters
     # Light [y, x] in DN from radius [y, x] in px, exposure [s], values, and the factor on the width of the site [1].
     light: Callable[[np.ndarray, float, Values, float], np.ndarray]
     # Electrons after the sensor's limit, from electrons [y, x], values and random generator.
     limit: Callable[[np.ndarray, Values, np.random.Generator], np.ndarray]
 
     def values(self, unit_point: np.ndarray) -> dict[str, float]:
-        """Return the values of the parameters from a point of the unit cube."""
+        """Return the values of the parameters by name, in their units, from a point of the unit cube [parameter].
+
+        The coordinates 0 and 1 stand for the smallest and the largest value of a parameter.
+        """
         values = {}
         for parameter, fraction in zip(self.parameters, unit_point, strict=True):
             if parameter.is_log:
@@ -72,7 +75,16 @@ class World:
     ) -> np.ndarray:
         """Return the readings [site, exposure, y, x] in DN of one realisation of the experiment.
 
-        `transmission` is that of a filter in front of the lens [1].
+        Parameters
+        ----------
+        values : mapping of str to float
+            Values of the parameters by name.
+        rng : Generator
+            Source of the random numbers.
+        exposures_s : tuple of float
+            Exposures [s].
+        transmission : float
+            Transmission of a filter in front of the lens [1].
         """
         readings = np.empty((SITES, len(exposures_s), SIDE, SIDE))
         for site in range(SITES):
@@ -113,7 +125,10 @@ def draw_speckle(rng: np.random.Generator) -> np.ndarray:
 
 
 def _growing_light(radius, exposure_s, values, width_factor):
-    """Return the light of the paper's model: width p1 ln t + p2, level after Eqs. 13 and 28, top hat of Eq. 39."""
+    """Return the light of the paper's model: width p1 ln t + p2, level after Eqs. 13 and 28, top hat of Eq. 39.
+
+    Arguments and result are those of `World.light`.
+    """
     propagation_px = width_factor * propagation.beam_propagation(exposure_s, values["p1"], values["p2"])
     sigma_px = propagation.spot_sigma(max(propagation_px, 1.0), LASER_PX)
     level = values["plateau"] * (propagation_px / sigma_px) ** 2 / spot.TOP_HAT_LEVEL
@@ -121,12 +136,15 @@ def _growing_light(radius, exposure_s, values, width_factor):
 
 
 def _gaussian_light(radius, exposure_s, values, width_factor):
-    """Return the light of a Gaussian of constant width, in proportion to the exposure."""
+    """Return the light of a Gaussian of constant width, in proportion to the exposure; arguments as `World.light`."""
     return values["peak"] * exposure_s / LONGEST_S * np.exp(-(radius**2) / (2 * values["width"] ** 2))
 
 
 def _exponential_light(radius, exposure_s, values, width_factor):
-    """Return the light of an exponential profile of constant width, in proportion to the exposure."""
+    """Return the light of an exponential profile of constant width, in proportion to the exposure.
+
+    Arguments and result are those of `World.light`.
+    """
     return values["peak"] * exposure_s / LONGEST_S * np.exp(-radius / values["width"])
 
 

@@ -106,7 +106,10 @@ def _texts(dim: str, texts: Sequence[str], long_name: str) -> Variable:
 
 
 def _flags(dims: str | tuple[str, ...], flags: np.ndarray, subject: str) -> Variable:
-    """Return a variable that is 1 if the difference or slope (`subject`) is significant, else 0."""
+    """Return a variable that is 1 where the difference or slope (`subject`) is significant, else 0.
+
+    `flags` is a mask with the dimensions `dims`, True where it is significant.
+    """
     long_name = f"1 where the {subject} is {SIGNIFICANT}"
     return dims, flags.astype("i4"), {"units": "1", "long_name": long_name}
 

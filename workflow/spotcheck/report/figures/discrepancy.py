@@ -313,7 +313,7 @@ def draw_gap(results: Results) -> style.Drawing:
     bar = figure.colorbar(ScalarMappable(norm, GAP_MAP), ax=list(axes), aspect=20, label=label)
     for colour, width in (("white", 2.2), ("black", 1.0)):
         bar.ax.axhline(noise, color=colour, linewidth=width)
-    # A root scatters by the standard deviation of its square over twice the root.
+    # Standard deviation of the root of a mean square: that of the mean square divided by twice the root.
     scatter = float(np.nanmedian(stderr)) / (2 * noise)
     caption = (
         "Root mean square of the residual block means, relative to the declared model's noise, on"

@@ -13,7 +13,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
 from spotcheck.dataset.folder import Dataset
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
@@ -42,7 +42,7 @@ def compare_shapes(ds: xr.Dataset, dataset: Dataset) -> Shapes:
     places = ds["u"].values[is_shown]
     lights = ds["s"].values[:, is_shown][:, :, is_shown]  # learned shapes [light, row, column]
     u, v = places[None, :], places[:, None]
-    baseline = of_instrument(dataset.instrument, dataset.exposures)
+    baseline = build_baseline(dataset.instrument, dataset.exposures)
     # light.nc stores what is added to the Gaussian or top hat. The declared shape may have a profile instead.
     plain_shape, declared = (model.spot(u, v, 1.0, 1.0) for model in (replace(baseline, learned=None), baseline))
     differences = plain_shape + lights - declared

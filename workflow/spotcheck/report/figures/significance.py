@@ -100,7 +100,10 @@ def _draw_rings(
 
 
 def _draw_colour_bar(figure: Figure, axes: np.ndarray, norm: SymLogNorm, largest: float) -> None:
-    """Draw the colour bar of z with ticks at 0, ± the threshold and ± powers of ten up to the `largest` |z|."""
+    """Draw the colour bar of z with ticks at 0, ± the threshold and ± powers of ten up to the `largest` |z|.
+
+    `axes` are the axes of the maps [row, column], beside which the bar is drawn.
+    """
     threshold = norm.linthresh
     positive = [threshold, *(10.0**power for power in range(1, 5) if 2 * threshold < 10.0**power <= largest)]
     labels = [two_digits(tick) for tick in positive]

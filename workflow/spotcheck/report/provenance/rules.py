@@ -68,7 +68,7 @@ def find_rule(results: Path, file: str) -> Rule | None:
     """
     path = results / file
     candidates = [
-        (_share_of_present_outputs(path, options), command)
+        (_compute_present_share(path, options), command)
         for command, options in list_outputs().items()
         if any(path.name in names for names in options)
     ]
@@ -81,7 +81,7 @@ def find_rule(results: Path, file: str) -> Rule | None:
     return Rule("_".join([command, *filter(None, suffixes)]), command)
 
 
-def _share_of_present_outputs(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[float, int]:
+def _compute_present_share(path: Path, options: tuple[tuple[str, ...], ...]) -> tuple[float, int]:
     """Return (share of the outputs of a subcommand that exist in the folder of the file `path`, number of outputs).
 
     `options` are the outputs of the subcommand as `list_outputs` returns them.

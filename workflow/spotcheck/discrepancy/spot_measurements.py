@@ -15,12 +15,12 @@ from spotcheck.discrepancy.normal_equations import invert_information
 
 
 @dataclass(frozen=True)
-class SpotNumbers:
+class SpotMeasurements:
     """Spot parameters of F frames with their covariance."""
 
     design: Design  # conditions of the frames
     spots: FrameParameters  # spot parameters of the frames
-    covariance: np.ndarray  # of ln peak, ln σ, x, y of frame after frame [4F, 4F]
+    covariance: np.ndarray  # covariance of ln peak, ln σ, x, y of frame after frame [4F, 4F]
     # Variance of each spot parameter by granular light, which `covariance` contains; mean over the frames.
     field_variance: tuple[float, ...] = (0.0,) * SPOT_PARAMETERS
 
@@ -39,7 +39,7 @@ class SpotNumbers:
         return self.covariance[np.ix_(index, index)]
 
 
-def numbers_of_fit(fit: JointFit, by_field: np.ndarray | None = None) -> SpotNumbers:
+def measure_spots(fit: JointFit, by_field: np.ndarray | None = None) -> SpotMeasurements:
     """Return the spot parameters of a fit with their covariance.
 
     Parameters
@@ -51,9 +51,9 @@ def numbers_of_fit(fit: JointFit, by_field: np.ndarray | None = None) -> SpotNum
     """
     covariance = covariance_of_spots(fit)
     if by_field is None:
-        return SpotNumbers(fit.model.design, fit.model.spots, covariance)
+        return SpotMeasurements(fit.model.design, fit.model.spots, covariance)
     field_variance = tuple(np.diag(by_field).reshape(-1, SPOT_PARAMETERS).mean(axis=0))
-    return SpotNumbers(fit.model.design, fit.model.spots, covariance + by_field, field_variance)
+    return SpotMeasurements(fit.model.design, fit.model.spots, covariance + by_field, field_variance)
 
 
 def covariance_of_spots(fit: JointFit) -> np.ndarray:
@@ -61,5 +61,5 @@ def covariance_of_spots(fit: JointFit) -> np.ndarray:
 
     Fitted parameters of sensor and effects are free; a free light shape is as well.
     """
-    count = SPOT_PARAMETERS * fit.equations.frames
+    count = SPOT_PARAMETERS * fit.equations.frame_count
     return invert_information(fit.equations.information)[:count, :count]
