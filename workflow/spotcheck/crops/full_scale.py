@@ -57,7 +57,7 @@ class FullScale(NamedTuple):
     remarks: tuple[str, ...] = ()  # sentences for the user
 
 
-# First word of `FullScale.source` if the value was found in clipped frames.
+# First word of `FullScale.source` if the value was found in clipped frames: "where 2 frames stop".
 FROM_FRAMES = "where"
 
 
@@ -113,25 +113,28 @@ def find_full_scale(extremes: Sequence[ReadingExtremes], instrument: Instrument,
     if not clipped_frames or highest == range_end:
         container_source = f"container of {container_bits} bit (sensor.bit_depth is missing)"
         return FullScale(range_end, converter_source if depth else container_source, remarks)
-    # Phrases for sources and remarks.
-    stops = f"{len(clipped_frames)} frames stop" if len(clipped_frames) > 1 else "1 frame stops"
+    # Clauses for sources and remarks: "2 frames stop at exactly 4000 DN".
+    frames_stop = f"{len(clipped_frames)} frames stop" if len(clipped_frames) > 1 else "1 frame stops"
     if depth and highest > END_OF_RANGE * range_end:
-        return FullScale(highest, f"{FROM_FRAMES} {stops}, within 1 % of sensor.bit_depth {depth}", remarks)
+        return FullScale(highest, f"{FROM_FRAMES} {frames_stop}, within 1 % of sensor.bit_depth {depth}", remarks)
     most_pixels = max(frame.at_highest for frame in clipped_frames)
-    stops_at = f"{stops} at exactly {highest} DN, up to {most_pixels} pixels of one"
+    frames_stop_at = f"{frames_stop} at exactly {highest} DN, up to {most_pixels} pixels of one"
     # The plateau is far from the end of the stated range, or no range is stated.
     proposal = _propose_bit_depth(highest, bits)
     if depth is None:
         advice = f"{proposal} would say so" if proposal else "give it"
         remark = (
-            f"instrument.yaml: sensor.bit_depth is missing, and {stops_at}, which is taken for full scale; {advice}"
+            f"instrument.yaml: sensor.bit_depth is missing, and {frames_stop_at}, which is taken for full scale;"
+            f" {advice}"
         )
-        return FullScale(highest, f"{FROM_FRAMES} {stops} (sensor.bit_depth is missing)", (*remarks, remark))
+        return FullScale(highest, f"{FROM_FRAMES} {frames_stop} (sensor.bit_depth is missing)", (*remarks, remark))
     file = instrument.get_file_name("sensor.bit_depth")
     advice = (
         f"{proposal} would be right" if proposal else "fits take them as whole, and the verdict looks for saturation"
     )
-    remark = f"{file}: sensor.bit_depth is {depth}, whose largest reading is {range_end} DN, but {stops_at}; {advice}"
+    remark = (
+        f"{file}: sensor.bit_depth is {depth}, whose largest reading is {range_end} DN, but {frames_stop_at}; {advice}"
+    )
     return FullScale(range_end, converter_source, (*remarks, remark))
 
 

@@ -177,8 +177,9 @@ def _find_peak(
 def median_filter_3x3(image: np.ndarray) -> np.ndarray:
     """Return the 3 × 3 median of an image [row, column], in its shape; pixels of the border are repeated outwards.
 
-    The result equals that of `scipy.ndimage.median_filter`, whose sorting took most of the time of cropping. The median
-    of nine is the median of the largest minimum, the median median and the smallest maximum of three sorted rows.
+    The result equals that of `scipy.ndimage.median_filter`, which took most of the time of cropping. If the nine pixels
+    are three sorted rows, their median is the median of three numbers: the largest of the minima of the rows, the
+    median of their medians, and the smallest of their maxima.
     """
     padded = np.pad(image, 1, mode="edge")
     height, width = image.shape
@@ -189,7 +190,7 @@ def median_filter_3x3(image: np.ndarray) -> np.ndarray:
 
 
 def _sort_three(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return three images in ascending order, pixel by pixel."""
+    """Return the smallest, the middle and the largest reading of each pixel of three images of equal shape."""
     low, high = np.minimum(a, b), np.maximum(a, b)
     middle, high = np.minimum(high, c), np.maximum(high, c)
     return np.minimum(low, middle), np.maximum(low, middle), high

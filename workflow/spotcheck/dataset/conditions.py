@@ -88,7 +88,10 @@ def merge_values(column: str, values: Sequence[float | None]) -> MergedValues:
 
 
 def _get_tolerances(column: str, distinct: np.ndarray) -> np.ndarray:
-    """Return the tolerance of each ascending value of a column, in its unit: the largest distance of one condition."""
+    """Return the largest distance at which another value still belongs to the same condition, for each value [value].
+
+    `distinct` are the distinct values of a column in ascending order [value]; tolerances are in their unit.
+    """
     if column == "exposure_s":
         return EXPOSURE_TOLERANCE * distinct
     absolute = ANGLE_TOLERANCE_DEG if column == "angle_deg" else RANGE_TOLERANCE * (distinct[-1] - distinct[0])

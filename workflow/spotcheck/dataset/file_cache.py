@@ -34,7 +34,11 @@ class FileRecord:
 
 
 def record_file(path: str | Path, earlier: FileRecord | None = None) -> FileRecord:
-    """Return the record of a file, which is read only if `earlier` is missing, not final or of another status."""
+    """Return the record of a file.
+
+    If `earlier`, the cached record, is final and has the present status of the file, it is returned, and the file is
+    not read.
+    """
     # The status is taken before the file is read, so that a change while it is read leads to another status.
     now_ns, status = time.time_ns(), Path(path).stat()
     status_fields = status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino

@@ -145,7 +145,8 @@ def load(folder: str | Path) -> Dataset:
 
     Parameters
     ----------
-    folder : folder with manifest.csv.
+    folder : str or Path
+        Folder with manifest.csv.
 
     Raises
     ------

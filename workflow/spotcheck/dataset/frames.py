@@ -198,8 +198,10 @@ def read_image(dataset: Dataset, frame: Frame) -> np.ndarray:
 
     Parameters
     ----------
-    dataset : the dataset.
-    frame : one of its frames.
+    dataset : Dataset
+        The dataset.
+    frame : Frame
+        One of its frames.
 
     Raises
     ------

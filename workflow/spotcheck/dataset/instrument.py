@@ -297,7 +297,7 @@ def _check_conditions(path: Path, conditions: tuple[str, ...]) -> None:
 def _convert_values(section: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a section with the values of `INTEGER_KEYS` as integers, and their lists as tuples.
 
-    The schema accepts 240.0, which slices do not.
+    The schema accepts a float such as 240.0, but indices of arrays must be integers.
     """
     return {key: _convert_integers(value) if key in INTEGER_KEYS else value for key, value in section.items()}
 

@@ -165,7 +165,10 @@ def _spell_as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, .
 
 
 def _parse_row(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[str, ...]) -> Frame:
-    """Return the frame of a row of `_read_rows`. Raises `InputError` for the first wrong cell."""
+    """Return the frame of a row of `_read_rows`, which has the cells by column. Raises `InputError` for a wrong cell.
+
+    `path` and `line` are those of the manifest and the row, for the message; `conditions` are the declared columns.
+    """
     location = f"{path.name} line {line}"
     if None in row or None in row.values():
         raise InputError(f"{location}: {'more' if None in row else 'fewer'} cells than the header has columns")

@@ -60,7 +60,11 @@ def rounded_text(value: float, stderr: float) -> str:
 
 
 def count_decimals(stderr: float) -> int:
-    """Return the decimals of a value with this standard error, above 0: −1 if the value is rounded to tens."""
+    """Return the decimals of a value with a standard error above 0; −1 if the value is rounded to tens.
+
+    The number of digits of the error follows the rule of the Particle Data Group.
+    """
+    # Number of significant digits of the error, and the error rounded to them.
     digits, rounded_stderr = PDG_precision(stderr)
     return digits - 1 - math.floor(math.log10(rounded_stderr))
 

@@ -120,7 +120,7 @@ def _choose_as_paper(values: xr.DataArray) -> xr.DataArray:
 
 
 def _iterate_conditions(values: xr.DataArray, dims: Sequence[str]) -> Iterator[dict[str, int]]:
-    """Yield the index {dimension: position} of each condition in which `values` [dims..., repeat] has a finite one."""
+    """Yield the index {dimension: position} of each condition in which any of `values` [dims..., repeat] is finite."""
     for position in np.ndindex(*(values.sizes[dim] for dim in dims)):
         index = dict(zip(dims, position, strict=True))
         if np.isfinite(values.isel(index)).any():

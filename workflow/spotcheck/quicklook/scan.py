@@ -78,7 +78,7 @@ def _fit_beam(
 ) -> BeamScan:
     """Return the caustics along the axes of the beam, or that of the mean radius if the beam is round.
 
-    `method` is MOMENTS or FIT, and `select` the function that returns the fields of `SpotWidths` of an image or None.
+    `method` is MOMENTS or FIT. `select` returns the fields of `SpotWidths` for an `ImageResult`; None without a width.
     There is no caustic, only a reason, if positions are too few or the axes rotate along the beam.
     """
     widths = [None if image.z_m is None else select(image) for image in images]

@@ -84,9 +84,10 @@ def list_pages(path: Path, name: str, colour: Colour = MONOCHROME, *, allow_floa
 def read_pixels(
     path: Path, page: int, name: str, colour: Colour = MONOCHROME, *, allow_floats: bool = False
 ) -> np.ndarray:
-    """Return the stored pixels [row, column] of one colour plane of a page, which counts from 0.
+    """Return the stored pixels [row, column] of one colour plane of a page.
 
-    The other parameters and the exceptions are those of `list_pages`.
+    Pages count from 0. The path, the name of the file in messages, and the exceptions are those of `list_pages`.
+    Floating-point pixels raise `InputError` unless `allow_floats`.
     """
     with _open_reader(path, name) as reader:
         pixels = reader.read_pixels(path, page)
@@ -96,10 +97,10 @@ def read_pixels(
 
 
 def list_stacks(path: Path, name: str) -> list[str]:
-    """Return the names of the stacks of images in a file, which `list_pages` accepts behind the folder of the file.
+    """Return the names of the stacks of images in a file.
 
     An HDF5 file has one stack per dataset of frames, named `name#/path/inside`. Any other file is one stack, `name`.
-    Raises `InputError` as `list_pages` does.
+    The folder of the file and such a name form the path that `list_pages` takes. Raises `InputError` as it does.
     """
     with _open_reader(path, name) as reader:
         return [f"{name}#{inner_path}" for inner_path in hdf5.list_stacks(path)] if reader is hdf5 else [name]
