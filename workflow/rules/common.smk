@@ -16,7 +16,7 @@ from spotcheck.cli import COMMANDS, effect_options
 from spotcheck.crops.ingest import check_dataset
 from spotcheck.errors import InputError
 from spotcheck.model import effects
-from spotcheck.model.baseline import of_instrument
+from spotcheck.model.baseline import build_baseline
 from spotcheck.model.simulation import STACK
 from spotcheck.io.provenance import code_digest, file_digest, list_notebook_imports
 
@@ -33,7 +33,7 @@ def opened(name):
     if not has_rig(found):
         check_dataset(found)
     # A profile of the light that cannot be read is said now.
-    of_instrument(found.instrument, found.exposures)
+    build_baseline(found.instrument, found.exposures)
     return found
 
 
