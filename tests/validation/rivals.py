@@ -1,7 +1,7 @@
 """Rival worlds of the paper's frames: fit, score, recovery and predictions, stored in data/rival_worlds.json.
 
-`python -m tests.validation.rivals [--realisations 200] [--sets 20] [--seed 1]`, about an hour of one core for each
-world. The seed is that of all random numbers and is not searched. Worlds that are done are kept.
+`python -m tests.validation.rivals [--realisations 200] [--sets 20] [--seed 1]`, about an hour and a half of one core
+in all. The seed is that of all random numbers and is not searched.
 """
 
 import argparse
@@ -81,6 +81,7 @@ def fit_world(
         "point": best.point.tolist(),
         "values": values,
         "units": {parameter.name: parameter.unit for parameter in world.parameters},
+        "at_edge": [p.name for p, stopped in zip(world.parameters, best.at_edge, strict=True) if stopped],
         "chi2_fitted": inference.chi2_of_fitted(at_best, summaries.PRINTED, best.point),
         "log_score": inference.score_held_out(at_best, summaries.PRINTED, best.point),
         "mean": realisations.mean(axis=0).tolist(),

@@ -5,7 +5,7 @@ paper prints about its frames, such as the largest amplitude. A realisation is t
 simulation of all frames. A point of the unit cube gives each parameter a value between its limits.
 
 A realisation costs a second. Summaries are therefore emulated: the logarithm of each is a quadratic function of the
-parameters, with the covariance of realisations. The emulator is refined twice around its optimum.
+parameters, with the covariance of realisations. The emulator is refined around its optimum.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,9 @@ from spotcheck.paper.rivals.worlds import World
 # ASSUME: 10 %, independently for each summary.
 DISCREPANCY = 0.1
 # Rounds of the emulator: realisations, and half the side of the box in which they lie, as a part of the range.
-ROUNDS = ((160, 0.5), (120, 0.25), (120, 0.125))
+ROUNDS = ((160, 0.5), (120, 0.25), (120, 0.125), (120, 0.125))
+# Distance from the edge of the box, as a part of half its side, below which a parameter counts as stopped by the edge.
+EDGE = 1e-3
 # Starts of the search for the best parameters.
 STARTS = 8
 # A world is preferred if held-out summaries are this much more likely than under any other: a factor of 20.
@@ -63,6 +65,7 @@ class WorldFit:
     point: np.ndarray  # parameters in the unit cube [parameter]
     chi2: float  # χ² of the fitted summaries
     log_score: float  # ln of the predictive density of the held-out summaries
+    at_edge: np.ndarray  # whether a parameter stopped at the edge of the emulator's box [parameter]
 
 
 def transform(summaries: np.ndarray) -> np.ndarray:
@@ -157,7 +160,8 @@ def fit_world(emulator: Emulator, observed: np.ndarray) -> WorldFit:
         for start in starts
     ]
     best = min(results, key=lambda result: result.fun)
-    return WorldFit(best.x, float(best.fun), score_held_out(emulator, observed, best.x))
+    at_edge = np.minimum(best.x - box.lb, box.ub - best.x) < EDGE * emulator.half
+    return WorldFit(best.x, float(best.fun), score_held_out(emulator, observed, best.x), at_edge)
 
 
 def chi2_of_fitted(emulator: Emulator, observed: np.ndarray, point: np.ndarray) -> float:

@@ -18,6 +18,7 @@ from spotcheck.fitting.precision import summarize_precision
 from spotcheck.metrics.crop_metrics import PER_IMAGE
 from spotcheck.model.propagation import beam_propagation
 from spotcheck.report.figures import series, style
+from spotcheck.report.figures.metric_plots import PAPER_FIGURES
 from spotcheck.report.figures.photon_transfer import fit_response_line
 from spotcheck.report.pages.plots import figure_json
 
@@ -135,7 +136,7 @@ def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
             data.append(_make_line("p1 ln t + p2", x, widths_px))
             caption += f" The line is the law with p1 = {p1:.3f} px and p2 = {p2:.2f} px, which the simulation uses."
     layout = {"xaxis": _make_axis(label), "yaxis": _make_axis("width σ̄ / px")}
-    return Curve("curve-width", "Width over exposure", figure_json(data, layout), caption)
+    return Curve("curve-width", "Fig. 11: Width over exposure", figure_json(data, layout), caption)
 
 
 def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
@@ -162,7 +163,8 @@ def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
             meaning = f"{metric.long_name[0].upper()}{metric.long_name[1:]}"
             caption = f"{meaning}. {series.frames_text(points['measured'], axes)}."
             figure = _draw_metric(ds, axes, points, style.axis_label(name, unit), unit)
-            curves.append(Curve(f"curve-{metric.name}", name.capitalize(), figure, caption))
+            title = ": ".join(filter(None, (PAPER_FIGURES.get(metric.name), name.capitalize())))
+            curves.append(Curve(f"curve-{metric.name}", title, figure, caption))
     return curves
 
 
@@ -252,7 +254,7 @@ def _draw_bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:
         "yaxis": _make_axis("bound on the sd of σ_g / px", type="log"),
     }
     caption = f"Cramér–Rao bound on the standard deviation of the width, over the light; {meanings}."
-    return Curve("curve-bounds", "Bounds over photons", figure_json(data, layout), caption)
+    return Curve("curve-bounds", "Fig. 13: Bounds over photons", figure_json(data, layout), caption)
 
 
 def _draw_condition_gaps(files: Mapping[str, xr.Dataset]) -> Curve | None:

@@ -4,12 +4,14 @@ The declared model is that of the instrument file. The extended model also has t
 A law gives the width of the spot at each exposure. Without one, each frame is simulated with its own fitted parameters.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
@@ -29,8 +31,9 @@ LEGEND_HEIGHT, ROW_HEIGHT = 0.5, 2.7
 WIDTH_TOLERANCE = 1e-9
 
 
-# Names of the simulated series in legends.
+# Names of the simulated series, and of the ranges of printed values, in legends.
 MODEL_NAMES = ("declared model", "extended model")
+PRINTED_NAME = "printed range"
 
 
 class Series(NamedTuple):
@@ -49,6 +52,8 @@ class MetricPlot:
     label: str  # label of the ordinate with unit; {tens} stands for the power of ten by which values are divided
     meaning: str  # definition of the metric, the start of the caption
     note: str = ""  # numbers in print, for comparison; "" if the paper does not show the metric
+    # Smallest and largest measured mean in print at 100, 500 and 900 µs, in the unit of the metric; () without any.
+    printed: tuple[tuple[float, float], ...] = ()
 
 
 def follows_law(results: Results) -> bool:
@@ -90,8 +95,12 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
         handles = _draw_series(ax, x, Series(measured, declared, with_effects), int(k), divisor, is_constant)
         ax.set_title(names[k])
         ax.label_outer()
+    labels = ["measured", *MODEL_NAMES][: len(handles)]
+    if plot.printed and results.has_paper_design():
+        handles.append(_draw_printed_ranges(panels, [plot.printed[k] for k in shown], divisor))
+        labels.append(PRINTED_NAME)
     figure.supylabel(plot.label.replace("{tens}", power_text), fontsize="medium")
-    style.add_legend(figure, handles, ["measured", *MODEL_NAMES][: len(handles)], len(handles))
+    style.add_legend(figure, handles, labels, len(handles))
     caption = f"{plot.meaning}: crops centred on the light. {series.frames_text(measured, axes)};"
     caption += f" {int(measured.frames.sum())} measured frames."
     if len(shown) < len(names):
@@ -175,6 +184,15 @@ def _draw_series(
     return handles
 
 
+def _draw_printed_ranges(panels: Iterable[Axes], ranges: Sequence[tuple[float, float]], divisor: float = 1.0) -> Artist:
+    """Draw the range of printed values, divided by `divisor`, behind each panel; return an artist for the legend."""
+    spans = [
+        ax.axhspan(low / divisor, high / divisor, facecolor=style.PRINTED, edgecolor="none", zorder=0.5)
+        for ax, (low, high) in zip(panels, ranges, strict=True)
+    ]
+    return spans[0]
+
+
 def draw_psnr(results: Results) -> style.Drawing:
     """Draw Fig. 9a: the peak signal-to-noise ratio (PSNR) as in the paper, and that of registered crops below.
 
@@ -207,7 +225,11 @@ def draw_psnr(results: Results) -> style.Drawing:
             handles = _draw_series(ax, x, all_series, int(k))
             ax.set_title(names[k] if registration == "maximum" else "")
         row[0].set_ylabel(f"PSNR / dB, {title}")
-    style.add_legend(figure, handles, ["measured repeats", *MODEL_NAMES][: len(handles)], len(handles))
+    labels = ["measured repeats", *MODEL_NAMES][: len(handles)]
+    if results.has_paper_design():
+        handles.append(_draw_printed_ranges(panels[: len(shown)], [PRINTED_PSNR_DB] * len(shown)))
+        labels.append(PRINTED_NAME)
+    style.add_legend(figure, handles, labels, len(handles))
     # The crops of the upper panels with the range of the lower ones, which separates both effects.
     at_sensor_range = ds["psnr"].sel(registration="maximum", data_range="sensor").values
     printed_db, registered_db = map(_average_all_frames, averages)
@@ -231,6 +253,8 @@ def _average_all_frames(statistics: series.LineStatistics) -> float:
     return float(np.average(statistics.mean[has_frames], weights=statistics.frames[has_frames]))
 
 
+# Smallest and largest mean PSNR in print [dB].
+PRINTED_PSNR_DB = (53.0, 58.0)
 # Metrics of the paper.
 CONTRAST = MetricPlot(
     "speckle_contrast",
@@ -238,6 +262,7 @@ CONTRAST = MetricPlot(
     "Speckle contrast (standard deviation over mean of a crop)",
     "In print the measured means lie between 4.4 and 9.5, the simulated values between 3.5 and 5.2, and the spread at"
     " 100 µs is about twice that of the longer exposures.",
+    ((4.4, 9.5),) * 3,
 )
 MAXIMUM = MetricPlot(
     "maximum",
@@ -245,6 +270,7 @@ MAXIMUM = MetricPlot(
     "Largest reading of a crop",
     "In print every measured mean exceeds 800 DN and all of them lie within 6 DN, over angles and exposures alike; the"
     " simulation is at most 43 DN off at 100 µs, below 8 DN at the longer two.",
+    ((800.0, 806.0),) * 3,
 )
 AMPLITUDE = MetricPlot(
     "amplitude",
@@ -252,13 +278,17 @@ AMPLITUDE = MetricPlot(
     "Peak of the fitted Gaussian above its offset",
     "In print the fitted amplitudes are 839 to 924 DN at 100 µs with a spread of up to 227 DN, and 992 to 1062 DN with"
     " at most 51 DN at the longer two.",
+    ((839.0, 924.0), (992.0, 1062.0), (992.0, 1062.0)),
 )
 MEAN_WIDTH = MetricPlot(
     "sigma_mean",
     "fitted width $\\bar{\\sigma}$ / px",
     "Direction-averaged standard deviation of the fitted Gaussian (mean of its long and short axis)",
     "In print the spreads are 1 to 4 px and measured means lie within 2 px of the simulation from 0° to 90°; they rise"
-    " from 45° to 90° and drop to 135°, where 100 µs is 4.5 px off.",
+    " from 45° to 90° and drop to 135°, where 100 µs is 4.5 px off. No width is printed: the grey range is that of the"
+    " printed p1 ln t + p2 without and with the 1.19 px of the laser's own spot, which the paper leaves open.",
+    # p1 ln t + p2 with p1 = 2.48 px and p2 = 34.55 px, and 1.19 px more.
+    ((11.71, 12.90), (15.70, 16.89), (17.16, 18.35)),
 )
 TOTAL = MetricPlot(
     "sum",
@@ -278,18 +308,29 @@ OTHERS = {
 }
 
 
-def _entry(name: str, title: str, plot: MetricPlot, paper: str | None = None) -> Entry:
-    """Return the entry of a figure of a metric; `paper` is the figure of the paper, None if it has none."""
-    return Entry(name, title, Category.METRICS, METRICS, partial(draw_metric, plot=plot), paper)
+# Figure of the paper that shows a metric.
+PAPER_FIGURES = {
+    CONTRAST.metric: "Fig. 9b",
+    MAXIMUM.metric: "Fig. 10a",
+    AMPLITUDE.metric: "Fig. 10b",
+    MEAN_WIDTH.metric: "Fig. 11",
+    TOTAL.metric: "Fig. 12",
+}
+
+
+def _entry(name: str, title: str, plot: MetricPlot) -> Entry:
+    """Return the entry of a figure of a metric."""
+    figure = PAPER_FIGURES.get(plot.metric)
+    return Entry(name, title, Category.METRICS, METRICS, partial(draw_metric, plot=plot), figure)
 
 
 FIGURES = (
     Entry("fig09a", "Peak signal-to-noise ratio", Category.METRICS, ("metrics", "sensor"), draw_psnr, "Fig. 9a"),
-    _entry("fig09b", "Speckle contrast", CONTRAST, "Fig. 9b"),
-    _entry("fig10a", "Plateau: largest reading", MAXIMUM, "Fig. 10a"),
-    _entry("fig10b", "Amplitude of the fitted Gaussian", AMPLITUDE, "Fig. 10b"),
-    _entry("fig11", "Width of the fitted Gaussian", MEAN_WIDTH, "Fig. 11"),
-    _entry("fig12", "Sum of all readings", TOTAL, "Fig. 12"),
+    _entry("fig09b", "Speckle contrast", CONTRAST),
+    _entry("fig10a", "Plateau: largest reading", MAXIMUM),
+    _entry("fig10b", "Amplitude of the fitted Gaussian", AMPLITUDE),
+    _entry("fig11", "Width of the fitted Gaussian", MEAN_WIDTH),
+    _entry("fig12", "Sum of all readings", TOTAL),
     *(
         _entry(f"metric-{name.replace('_', '-')}", name.replace("_", " ").capitalize(), plot)
         for name, plot in OTHERS.items()

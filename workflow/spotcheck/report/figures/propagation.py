@@ -13,6 +13,9 @@ from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
 
+# Printed mean and standard deviation of each parameter [px].
+PRINTED = {"p1": (2.48, 0.32), "p2": (34.55, 1.20)}
+
 
 def draw_parameters(results: Results) -> style.Drawing:
     """Draw p1 (left ordinate) and p2 (right ordinate) by the estimator that the simulation uses.
@@ -49,6 +52,9 @@ def draw_parameters(results: Results) -> style.Drawing:
         labels.append(f"{symbol} = {quantity_text(float(ds[f'{name}_mean']), float(ds[f'{name}_sd_all']))} px")
         ax.set_ylabel(f"{symbol} / px", color=line.colour)
         ax.tick_params(axis="y", colors=line.colour)
+        if results.has_paper_design():
+            printed, printed_sd = PRINTED[name]
+            ax.axhspan(printed - printed_sd, printed + printed_sd, facecolor=line.colour, alpha=0.12, zorder=0.5)
     style.add_legend(figure, handles, labels, 2)
     other_estimators = [str(name) for name in calibration["estimator"].values if name != used]
     other_texts = [
@@ -66,7 +72,10 @@ def draw_parameters(results: Results) -> style.Drawing:
         f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
         f" Others: {'; '.join(other_texts)}."
     )
-    note = "The paper prints p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20 in metres; they are consistent only in pixels."
+    note = (
+        "The paper prints p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20 in metres; they are consistent only in pixels. Bands"
+        " in the colours of p1 and p2 show the printed ranges."
+    )
     return style.Drawing(figure, caption + results.paper_note(note))
 
 

@@ -50,6 +50,8 @@ RC: dict[Any, Any] = {
 IMAGE_MAP, DIVERGING_MAP = "magma", "RdBu_r"
 # Colours that differ in hue and in lightness (Okabe and Ito).
 MEASURED, SIMULATED, ACCENT = "#0072B2", "#D55E00", "#009E73"
+# Bands of printed values, behind the data.
+PRINTED = "0.85"
 LUMA = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in luma (ITU-R BT.601)
 # Part of the colour map viridis for lines; lighter colours are hard to see on white.
 LINE_COLOURS = (0.02, 0.80)
