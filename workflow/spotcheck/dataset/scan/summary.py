@@ -90,6 +90,11 @@ def _format_conflict(conflict: Conflict) -> str:
     disagreement = f"{column}: {first}, but {second}{f' ({frames} frames)' if frames > 1 else ''}"
     if column == BINNING:
         return f"{disagreement}; {PITCH_LEFT_BLANK}"
+    if first.source_pattern == second.source_pattern:
+        return (
+            f"{disagreement}; left blank: correct it there, with one row for each image by its folder and name or for"
+            f" each page of a stack, or give the value of all frames by --set {column}=VALUE"
+        )
     return (
         f"{disagreement}; left blank: say which is right"
         f' by --set "{column}={first.source_pattern}" or --set "{column}={second.source_pattern}"'
