@@ -79,6 +79,16 @@ def test_commas_of_a_log_table_are_decided_or_asked_for(tmp_path, capsys, cells,
     assert is_asked_for == (exposures_s is None)
 
 
+def test_frames_that_cannot_be_measured_are_named(tmp_path, capsys):
+    """In place of the remark that no spot stands out, which would be wrong advice."""
+    for name in ("a.npy", "b.npy"):
+        np.save(tmp_path / name, spot().byteswap())
+    main(["new-dataset", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert all(f"{name}: has its high and low bytes swapped" in said for name in ("a.npy", "b.npy"))
+    assert "No spot stands out" not in said
+
+
 def test_check_names_what_a_run_will_skip(tmp_path, capsys):
     """And the key that would change it, one after the other; nothing once all are given."""
     new(saved(tmp_path, *(f"z_{z}mm.tif" for z in (176, 20, 100))), capsys=capsys)

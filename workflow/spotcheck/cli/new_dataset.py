@@ -26,7 +26,7 @@ QUESTIONS = {
     "sensor.pixel_pitch_m": ("3.45 um", "pixel pitch of the camera"),
     "laser.wavelength_m": ("632.8 nm", "wavelength of the laser"),
 }
-# Largest number of files without an image that a message lists.
+# Largest number of files without an image, and of unreadable frames, that are listed.
 MAX_LISTED = 5
 EXAMPLES = "spotcheck new-dataset new-frames"
 
@@ -94,7 +94,8 @@ def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour:
             print("instrument.yaml. Without it the frames are evaluated as far as possible.")
     # The side of the crop is None if the default is large enough or no spot was found.
     proposal = propose_crop_size(folder, draft, colour)
-    if not proposal.has_spot:
+    print(*proposal.errors[:MAX_LISTED], sep="\n", end="\n" if proposal.errors else "")
+    if not proposal.has_spot and not proposal.errors:
         print("No spot stands out in these frames. Mark darks and flats by the words dark and flat in names of")
         print("files or folders, or in the column kind.")
     template.write_template(folder, draft, proposal.side_px)

@@ -22,8 +22,8 @@ from spotcheck.io.formats.page import PREVIEW_MESSAGE, Page
 
 # Side of the blocks of a reduced frame [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
-# Least share of good pixels in the best crop. A crop is ten standard deviations of the spot wide: a circle of radius two
-# of them holds 86 % of the light and covers 13 % of the crop. An inverted mask of pixels and lines leaves less.
+# Least share of good pixels in the best crop. A crop is ten standard deviations of the spot wide: a circle of radius
+# two of them holds 86 % of the light and covers 13 % of the crop. An inverted mask of pixels and lines leaves less.
 LEAST_GOOD_SHARE = 0.1
 # Most runs of consecutive pages that a message lists.
 MOST_RUNS = 5

@@ -14,7 +14,8 @@ from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import CHANNELS, MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
-from spotcheck.io.formats.page import Page
+from spotcheck.io.formats.page import ImageError, Page
+from spotcheck.io.formats.pixel_checks import check_byte_order
 
 # Column and key of the metadata that a first look uses beside the pixel pitch: position along the beam, wavelength.
 Z, WAVELENGTH = "z_m", "laser.wavelength_m"
@@ -200,7 +201,7 @@ def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:
 def _wrap_array(pixels: np.ndarray, number: int) -> Image:
     """Return an array as an image; `number` is its position in the inputs, from 0.
 
-    Raises `InputError` if it is not two-dimensional and numeric.
+    Raises `InputError` if it is not two-dimensional and numeric, or its bytes are swapped.
     """
     array = np.ma.asanyarray(pixels)
     if array.ndim != 2 or array.dtype.kind not in "uif" or not array.size:
@@ -208,5 +209,9 @@ def _wrap_array(pixels: np.ndarray, number: int) -> Image:
             f"images: number {number} has the shape {array.shape} and the type {array.dtype}; each must be numbers"
             " [rows, columns]"
         )
+    try:
+        check_byte_order(np.ma.getdata(array).astype(array.dtype.newbyteorder("="), copy=False))
+    except ImageError as error:
+        raise InputError(f"image {number}: {error}") from None
     bits = 8 * array.dtype.itemsize if array.dtype.kind == "u" else None
     return Image(f"image {number}", array, array.shape, 0, bits)
