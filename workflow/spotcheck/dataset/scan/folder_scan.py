@@ -68,6 +68,8 @@ def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
         table_folders.update(image.parents[:2])
     for table_folder in table_folders:
         read_files.update(tables.find_tables(table_folder))
+    # The results of an earlier scan are no sources.
+    read_files.update((folder / "manifest.csv", folder / "instrument.yaml"))
     unread_files = sorted(path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
     return FolderScan(_restore_signs(frames), tuple(unread_files), tuple(errors))
 
