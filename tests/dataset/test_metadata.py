@@ -349,6 +349,12 @@ def test_any_text_is_read_or_not(text):
         assert label.value is None or not isinstance(label.value, float) or np.isfinite(label.value)
 
 
+def test_control_characters_are_not_repeated():
+    """A terminal would obey them, and YAML refuses them in comments."""
+    entry = key_values.parse_pair("no\x1b[2Jte", "a\x85b", "\x07.csv")
+    assert (entry.text, entry.source) == ("no [2Jte = a b", " .csv")
+
+
 def test_entities_are_not_followed(tmp_path):
     """Ten lines of XML that stand for more than memory holds."""
     laughs = '<!DOCTYPE l [<!ENTITY a "ha">]><OME>&a;</OME>'

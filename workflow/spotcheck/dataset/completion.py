@@ -19,7 +19,7 @@ from spotcheck.dataset.manifest import list_lines, parse_number, read_rows
 from spotcheck.dataset.metadata.entry import ROUNDING_TOLERANCE
 from spotcheck.dataset.scan.draft import POSITION, ManifestDraft
 from spotcheck.errors import InputError
-from spotcheck.io import atomic_files
+from spotcheck.io import store
 from spotcheck.io.formats.names import split_inner_path
 from spotcheck.io.schema import parse_keys, read_schema
 from spotcheck.io.text import read_text
@@ -61,9 +61,7 @@ def list_given(folder: Path) -> set[str]:
     return given
 
 
-def write_or_complete(
-    folder: Path, draft: ManifestDraft, crop_px: int | None, answers: Collection[str]
-) -> FileChanges:
+def write_or_complete(folder: Path, draft: ManifestDraft, crop_px: int | None, answers: Collection[str]) -> FileChanges:
     """Write manifest.csv and instrument.yaml of a folder of images, or complete them if they exist.
 
     A template that nobody has filled in counts as missing.
@@ -100,7 +98,7 @@ def write_or_complete(
             instrument = _take_back_budget(instrument)
     for path, completion in ((manifest_path, manifest), (instrument_path, instrument)):
         if completion.changes or path.name in written:
-            atomic_files.write_text(path, completion.text)
+            store.write_text(path, completion.text)
     changes, remarks = [*manifest.changes, *instrument.changes], [*manifest.remarks, *instrument.remarks]
     return FileChanges(written, changes, remarks)
 

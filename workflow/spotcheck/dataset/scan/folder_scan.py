@@ -16,6 +16,7 @@ from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
+from spotcheck.io.text import replace_unprintable
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
         read_files.update(tables.find_tables(table_folder))
     # The results of an earlier scan are no sources.
     read_files.update((folder / "manifest.csv", folder / "instrument.yaml"))
-    unread_files = sorted(path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
+    unread_paths = (path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
+    unread_files = sorted(map(replace_unprintable, unread_paths))
     return FolderScan(_restore_signs(frames), tuple(unread_files), tuple(errors))
 
 
