@@ -132,6 +132,32 @@ def test_bad_pixels_that_cannot_be_are_refused_before_a_frame_is_decoded(tmp_pat
     assert words in str(raised.value) and str(raised.value).count("\n") == 0
 
 
+@pytest.mark.parametrize("key", ["mask", "pixels"])
+@pytest.mark.parametrize("good", ["a pixel", "a line", "one in a hundred", "no pixel", "a disk", "every third column"])
+def test_a_mask_of_nearly_everything_is_refused(tmp_path, key, good):
+    """Such as an inverted one, whatever the defects; a disk around the spot, or a third of the pixels, is enough."""
+    y, x = np.indices((SIDE, SIDE))
+    is_good = {
+        "a pixel": (x == 20) & (y == 30),
+        "a line": x == 20,
+        "one in a hundred": np.random.default_rng(3).random((SIDE, SIDE)) < 0.01,
+        "no pixel": x < 0,
+        "a disk": np.hypot(x - X, y - Y) < 16,
+        "every third column": x % 3 == 0,
+    }[good]
+    (tmp_path / "data/masks").mkdir(parents=True)
+    tifffile.imwrite(tmp_path / "data/masks/inverted.tif", 255 * (~is_good).astype(np.uint8))
+    value = "masks/inverted.tif" if key == "mask" else np.argwhere(~is_good)[:, ::-1].tolist()
+    found = loaded(tmp_path / "data", [spoilt(0, 0)], f"{YAML}bad_pixels: {{{key}: {value}}}\n")
+    if good in ("a disk", "every third column"):
+        check_dataset(found)
+        return
+    with pytest.raises(InputError) as raised:
+        check_dataset(found)
+    assert ("invert the mask" in str(raised.value)) == (key == "mask")
+    assert "every pixel" in str(raised.value) or f"leaves {is_good.sum()} of {SIDE**2} pixels" in str(raised.value)
+
+
 def test_no_bad_pixels_leave_frames_as_they_are(tmp_path):
     """Unsigned integers, as stored."""
     image = spoilt(1, 3)

@@ -2,6 +2,7 @@
 
 import json
 import time
+from pathlib import PurePath
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, PngImagePlugin
 
-from spotcheck.dataset.metadata import file_names, key_values, sidecar, units
+from spotcheck.dataset.metadata import file_names, key_values, log_tables, units
 from spotcheck.dataset.metadata.entry import MetadataEntry, resolve_entries
 from spotcheck.dataset.metadata.readers import read_metadata
 
@@ -59,6 +60,24 @@ def test_names(name):
 
 
 @pytest.mark.parametrize(
+    ("path", "inner_path", "wanted"),
+    [
+        ("scan.h5", "/dark", {"kind": "dark"}),
+        ("scan.h5", "/entry/45deg/250us_03", {"angle_deg": 45.0, "exposure_s": 2.5e-4, "number": 3}),
+        ("z_20mm/run.nxs", "/entry/instrument/detector/data", {"z_m": 0.02}),
+        ("dark_and_flat.h5", "/flat", {"kind": "flat"}),
+        ("scan_0012.h5", "/entry/data_000001", {"number": 12}),
+    ],
+)
+def test_names_inside_hdf5(path, inner_path, wanted):
+    """Datasets are named as files are, and groups as folders; two names that contradict each other are a conflict."""
+    agreed, conflicts = resolve_entries(file_names.parse_path(PurePath(path), inner_path))
+    assert (said(agreed.values()), conflicts) == (wanted, {})
+    agreed, conflicts = resolve_entries(file_names.parse_path(PurePath("dark_3ms.h5"), "/flat_5ms"))
+    assert not agreed and set(conflicts) == {"kind", "exposure_s"}
+
+
+@pytest.mark.parametrize(
     "name", ["exp_900", "z18", "f50mm", "x_3mm", "delay_10us", "b_000_c", "speckle", "45degree5", ""]
 )
 def test_names_that_say_nothing(name):
@@ -87,7 +106,7 @@ def test_ambiguous_numbers_in_names_are_not_read(name):
 def test_commas_are_decided_from_the_column(cells, wanted):
     """A comma separates thousands or decimals in a whole column; an undecidable column has no values, and says so."""
     lines = ["file,Exposure (us)", *(f'{k}.tif,"{cell}"' for k, cell in enumerate(cells))]
-    entries = [entries[0] for entries in sidecar.parse_table("\n".join(lines), "log.csv").values()]
+    entries = [rows[0].entries[0] for rows in log_tables.parse_table("\n".join(lines), "log.csv").values()]
     assert [entry.value for entry in entries] == wanted
     assert all((units.UNDECIDABLE_COMMA in entry.text) == (entry.value is None) for entry in entries)
 
@@ -315,7 +334,7 @@ def test_hostile_texts_end_soon(tmp_path, name):
     before = time.process_time()
     assert said(read_metadata(tmp_path / "a.pgm")) == {}
     assert time.process_time() - before < 5
-    assert not sidecar.find_tables(tmp_path)
+    assert not log_tables.TableReader().find_tables(tmp_path)
 
 
 PIECES = st.sampled_from(
@@ -328,6 +347,12 @@ def test_any_text_is_read_or_not(text):
     """Whatever a name or a text holds: numbers are finite, and nothing is raised."""
     for label in [*file_names.parse_name(text), *key_values.parse_text(text, "here")]:
         assert label.value is None or not isinstance(label.value, float) or np.isfinite(label.value)
+
+
+def test_control_characters_are_not_repeated():
+    """A terminal would obey them, and YAML refuses them in comments."""
+    entry = key_values.parse_pair("no\x1b[2Jte", "a\x85b", "\x07.csv")
+    assert (entry.text, entry.source) == ("no [2Jte = a b", " .csv")
 
 
 def test_entities_are_not_followed(tmp_path):

@@ -79,6 +79,28 @@ def test_commas_of_a_log_table_are_decided_or_asked_for(tmp_path, capsys, cells,
     assert is_asked_for == (exposures_s is None)
 
 
+def test_frames_that_cannot_be_measured_are_named(tmp_path, capsys):
+    """In place of the remark that no spot stands out, which would be wrong advice."""
+    for name in ("a.npy", "b.npy"):
+        np.save(tmp_path / name, spot().byteswap())
+    main(["new-dataset", str(tmp_path)])
+    said = capsys.readouterr().out
+    assert all(f"{name}: has its high and low bytes swapped" in said for name in ("a.npy", "b.npy"))
+    assert "No spot stands out" not in said
+
+
+def test_the_table_shows_what_is_left_blank(tmp_path, capsys):
+    """In the row of its column or key, with the reason."""
+    for name, text in (("2ms_z7.tif", "exposure: 3 ms; wavelength: 633 nm"), ("z8.tif", "wavelength: 532 nm")):
+        saved(tmp_path, name, description=text)
+    main(["new-dataset", str(tmp_path)])
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.startswith("  ")}
+    assert rows["exposure_s"].endswith("contradictory in 1 frame")
+    assert rows["z_m"].endswith("unclear in 2 frames")
+    assert "left blank" in rows["laser.wavelength_m"]
+    assert rows["laser.wavelength_m"].endswith("differs between frames or is out of range")
+
+
 def test_check_names_what_a_run_will_skip(tmp_path, capsys):
     """And the key that would change it, one after the other; nothing once all are given."""
     new(saved(tmp_path, *(f"z_{z}mm.tif" for z in (176, 20, 100))), capsys=capsys)

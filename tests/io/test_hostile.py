@@ -14,7 +14,7 @@ def tallies(tmp_path_factory) -> dict[str, hostile.Tally]:
     return dict(hostile.tallies(tmp_path_factory.mktemp("hostile"), COUNT))
 
 
-@pytest.mark.parametrize("kind", ["TIFF", "PNG", "PGM", "manifest.csv", "instrument.yaml"])
+@pytest.mark.parametrize("kind", ["TIFF", "PNG", "PGM", "manifest.csv", "instrument.yaml", "file names", "log tables"])
 def test_nothing_but_frames_or_a_sentence(tallies, kind):
     """No other exception, no hang, no memory out of proportion; and the inputs are neither all good nor all bad."""
     own = tallies[kind]

@@ -8,7 +8,9 @@ of what people write and of what nobody should.
 
 import argparse
 import io
+import re
 import resource
+import shutil
 import signal
 import sys
 import tempfile
@@ -32,6 +34,10 @@ from PIL import Image, PngImagePlugin
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset.metadata.readers import read_metadata
+from spotcheck.dataset.scan.draft import draft_manifest
+from spotcheck.dataset.scan.folder_scan import FolderScan, scan_folder
+from spotcheck.dataset.scan.summary import summarize_scan
+from spotcheck.dataset.template import format_instrument, format_manifest
 from spotcheck.errors import InputError
 from tests.load.rows import Row, write
 
@@ -285,6 +291,42 @@ def instruments(draw: st.DrawFn) -> bytes:
     return text.encode(draw(st.sampled_from(["utf-8", "utf-8", "utf-16", "utf-16-le"])), "replace")
 
 
+# Pieces of names of files and of HDF5 datasets, and of the cells of log tables.
+NAME_PIECES = st.sampled_from(
+    "z t= exp dark flat r img 2026-01-31 1 00012 3p5 1,000 1e-3 1e999 - _ . = ms us nm deg ° # { } % ' ".split(" ")
+) | st.text(st.characters(min_codepoint=32, max_codepoint=400), max_size=3)
+LOG_HEADINGS = st.sampled_from(["File name", "path", "Exposure (ms)", "z [mm]", "angle", "Binning", "kind"]) | ODD
+LOG_NAMES = st.sampled_from(
+    ["a.tif", "frames/a.tif", r"D:\frames\a.tif", "b/a.tif", "../frames/a.tif", "x" * 300 + "/a.tif"]
+)
+LOG_CELLS = st.sampled_from(["0.5", "1,000", "1,5", "1/200", "2x2", "dark", "3 mm", "nan", '"1', "9" * 30]) | ODD
+LONGEST_NAME = 200
+
+
+@st.composite
+def names(draw: st.DrawFn) -> bytes:
+    """A name of a file and one of an HDF5 dataset, without what file systems refuse, parted by a slash."""
+    parts = ["".join(draw(st.lists(NAME_PIECES, min_size=1, max_size=8))) for _ in range(2)]
+    cleaned = [re.sub(r"[/\0\ud800-\udfff]", "", part)[: LONGEST_NAME // 4].strip(".") or "a" for part in parts]
+    return "/".join(cleaned).encode()
+
+
+@st.composite
+def log_tables(draw: st.DrawFn) -> bytes:
+    """A table beside images as an instrument, a spreadsheet or nobody would write it, or an EMVA 1288 list."""
+    if draw(st.integers(0, 4)) == 0:
+        words = st.sampled_from(["n 12 30 24", "b 1000 5", "d 1e999", r"i frames\a.tif", "i a.tif", "i", "n x", "#"])
+        return "\n".join(["n 8 30 24", "b 5", "i a.tif", *draw(st.lists(words | ODD, max_size=9))]).encode()
+    headings = ["File", *draw(st.lists(LOG_HEADINGS, max_size=4))]
+    rows = [headings]
+    for _ in range(draw(st.integers(0, 5))):
+        rows.append([draw(LOG_NAMES), *(draw(LOG_CELLS) for _ in headings[1:])])
+    mark = draw(st.sampled_from([",", ",", ";", "\t"]))
+    lines = draw(st.sampled_from([[], ["# log"], ["sep=;"]])) + [mark.join(row) for row in rows]
+    text = draw(st.sampled_from(["\n", "\r\n"])).join(lines)
+    return text.encode(draw(st.sampled_from(["utf-8", "utf-8", "utf-16", "latin-1"])), "replace")
+
+
 def tally(inputs: Iterator[bytes], read: Callable[[bytes], Any]) -> Tally:
     """What became of inputs."""
     ends, longest, worst = Counter[str](), 0.0, None
@@ -309,6 +351,42 @@ def examples(strategy: st.SearchStrategy[bytes], count: int) -> list[bytes]:
 
     collect()
     return out
+
+
+def describe(folder: Path) -> FolderScan:
+    """Read what the images of a folder state, and say it, as `new-dataset` does."""
+    scan = scan_folder(folder)
+    if not scan.frames:
+        raise InputError(scan.errors[0])
+    draft = draft_manifest(scan, {})
+    assert all(line.isprintable() for line in summarize_scan("my-frames", scan, draft))
+    format_manifest(draft)
+    yaml.safe_load(format_instrument(draft, None))
+    return scan
+
+
+def describe_by_log(folder: Path, content: bytes) -> None:
+    """Describe an image with a text beside it as a table and as an EMVA 1288 list; refused if neither says anything."""
+    for name in ("log.csv", "list.txt"):
+        (folder / name).write_bytes(content)
+    entries = [entry for frame in describe(folder).frames for entry in frame.metadata]
+    if not any(entry.source in ("log.csv", "list.txt") for entry in entries):
+        raise InputError("frames/a.tif: neither log.csv nor list.txt describes it")
+
+
+def scan_names(folder: Path, content: bytes) -> None:
+    """Describe a TIFF and an HDF5 file of a name, the latter with a dataset of a name."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    name, inner_name = content.decode().split("/")
+    (folder / f"{name}.tif").write_bytes(tiff())
+    with h5py.File(folder / f"{name}.h5", "w") as file:
+        file.create_dataset(inner_name, data=RAMP)
+    try:
+        describe(folder)
+    except InputError as error:
+        # Messages of a scan start with the name of the file; the tally counts by a name of its own.
+        raise InputError(f"frames/a.tif: {error}") from None
 
 
 def tallies(folder: Path, count: int, seed: int = 1) -> Iterator[tuple[str, Tally]]:
@@ -342,6 +420,11 @@ def tallies(folder: Path, count: int, seed: int = 1) -> Iterator[tuple[str, Tall
     yield "manifest.csv", tally(iter(examples(manifests(), count)), trying(manifest, load))
     manifest.write_bytes(plain)
     yield "instrument.yaml", tally(iter(examples(instruments(), count)), trying(instrument, load))
+    instrument.write_bytes(keys)
+    with tempfile.TemporaryDirectory() as named:
+        inner_folder = Path(named) / "a"
+        yield "file names", tally(iter(examples(names(), count)), lambda content: scan_names(inner_folder, content))
+    yield "log tables", tally(iter(examples(log_tables(), count)), lambda content: describe_by_log(folder, content))
 
 
 def main() -> None:

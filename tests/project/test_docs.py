@@ -7,6 +7,7 @@ import re
 from contextlib import redirect_stdout
 from pathlib import Path
 
+import imagecodecs
 import matplotlib.pyplot
 import numpy as np
 import pytest
@@ -226,6 +227,14 @@ def content(of_file: bytes, text: str = ""):
     return check
 
 
+def inverted_mask(base):
+    """Checking a dataset of one image whose mask is 0 at its only bad pixel."""
+    pixels = np.full((240, 320), 255, np.uint8)
+    pixels[119, 165] = 0
+    (base / "mask.png").write_bytes(imagecodecs.png_encode(pixels))
+    image(np.zeros((240, 320), np.uint16), "bad_pixels: {mask: mask.png}")(base)
+
+
 MISTAKES = {
     "a required column is missing": manifest("frames/a.tif,spot,0,1e-4", header=HEADER.removesuffix(",repeat")),
     "an unknown kind": manifest(GOOD.replace("spot", "sopt")),
@@ -247,6 +256,7 @@ MISTAKES = {
     "another format by the name of one that is read": content(b"BM"),
     "a crop that is too large": image(np.zeros((30, 40), np.uint16)),
     "a profile that is not there": instrument("light: {profile: light.nc}"),
+    "an inverted mask of bad pixels": inverted_mask,
     "a bad column beyond the frame": image(
         np.zeros((240, 320), np.uint16), "crop_px: 24\nbad_pixels: {columns: [400]}"
     ),

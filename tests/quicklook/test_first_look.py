@@ -15,7 +15,9 @@ import spotcheck
 from spotcheck.cli import COMMANDS, main
 from spotcheck.cli import open as opening
 from spotcheck.dataset.metadata.file_names import natural_sort_key
+from spotcheck.errors import InputError
 from spotcheck.io.formats import files
+from spotcheck.quicklook.images import open_images
 from spotcheck.sensor import SensorModel
 from tests.conftest import SHARED
 
@@ -237,6 +239,26 @@ def test_stacks_arrays_and_what_is_none(tmp_path):
     ):
         with pytest.raises(spotcheck.InputError, match=said):
             spotcheck.look(given)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "tif"])
+@pytest.mark.parametrize("empty", [(1,), (0, 3), tuple(range(1, 9)), tuple(range(9))])
+def test_an_empty_page_costs_one_page(suffix, empty, tmp_path):
+    """The others of the stack are opened, and each page that is not is named, or counted where they are many."""
+    stack = np.ones((9, 12, 16), np.float32)
+    stack[list(empty)] = np.inf
+    path = tmp_path / f"run.{suffix}"
+    np.save(path, stack) if suffix == "npy" else tifffile.imwrite(path, stack, photometric="minisblack")
+    if len(empty) == len(stack):
+        with pytest.raises(InputError, match="page 0: has no pixel that was measured"):
+            open_images(path)
+        return
+    found, errors = open_images(path)
+    assert [image.page for image in found] == [page for page in range(len(stack)) if page not in empty]
+    named = [f"run.{suffix} page {page}: has no pixel that was measured; leave it out" for page in empty[:5]]
+    assert errors[: len(named)] == named
+    more = [f"run.{suffix}: 3 more pages cannot be read; leave them out"]
+    assert errors[len(named) :] == (more if len(empty) > len(named) else [])
 
 
 def test_the_channel_of_a_colour_image_that_reads_most(tmp_path):

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from spotcheck.crops.crop_size import propose_crop_size
-from spotcheck.dataset import template
+from spotcheck.dataset import completion, template
+from spotcheck.dataset.instrument import read_instrument
 from spotcheck.dataset.scan.answers import COLOUR_KEYS, check_answers
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, POSITION, ManifestDraft, draft_manifest
 from spotcheck.dataset.scan.folder_scan import FolderScan, scan_folder
@@ -26,7 +27,7 @@ QUESTIONS = {
     "sensor.pixel_pitch_m": ("3.45 um", "pixel pitch of the camera"),
     "laser.wavelength_m": ("632.8 nm", "wavelength of the laser"),
 }
-# Largest number of files without an image that a message lists.
+# Largest number of files without an image, and of unreadable frames, that are listed.
 MAX_LISTED = 5
 EXAMPLES = "spotcheck new-dataset new-frames"
 
@@ -46,14 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Read what the files state, ask for what is missing, and write both files.
+    """Read what the images state, ask for what is missing, and write both files, or complete them if they exist.
 
-    Raises `InputError` if one of the files exists, no image can be read, or an answer is impossible.
+    Raises `InputError` if one of the files exists and cannot be read or no image can be read, or an answer is
+    impossible.
     """
     folder, answers = args.folder, dict(_parse_answer(word) for word in args.answers)
-    # Raises `InputError` if a file exists.
-    template.check_absent(folder)
-    colour = Colour(*(answers.get(key) for key in COLOUR_KEYS))
+    given = completion.list_given(folder)
+    sensor = read_instrument(folder / completion.INSTRUMENT).sensor
+    colour = Colour(answers.get(COLOUR_KEYS[0], sensor.channel), answers.get(COLOUR_KEYS[1], sensor.bayer))
     # Frames of the folder, files that are neither images nor metadata, and a message for each unreadable image.
     scan = scan_folder(folder, colour) if folder.is_dir() else FolderScan((), (), ())
     if scan.errors and not scan.frames:
@@ -62,31 +64,34 @@ def run(args: argparse.Namespace) -> None:
         raise InputError(f"{scan.errors[0]}{hint}{count}")
     check_answers(scan, answers)
     if scan.frames:
-        _write_rows(folder, scan, answers, colour)
-        next_step = "next"
+        _write_rows(folder, scan, answers, colour, given)
     else:
         if folder.is_dir():
             others = f" that is read, but {', '.join(scan.unread_files[:MAX_LISTED])}" if scan.unread_files else ""
             print(f"{folder}: holds no image{others}")
+        for name in (completion.MANIFEST, completion.INSTRUMENT):
+            if (folder / name).exists():
+                raise InputError(f"{folder / name}: is there, and no image by which it could be completed; add images")
         template.write_template(folder)
-        next_step = "fill in the blanks, then"
-    print(f"{folder}: wrote manifest.csv, instrument.yaml; {next_step}: spotcheck check {folder}")
+        print(f"{folder}: wrote manifest.csv, instrument.yaml; fill in the blanks, then: spotcheck check {folder}")
     if remark := configuration.remark_on_quotes(str(folder)):
         print(remark)
 
 
-def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour: Colour) -> None:
-    """Print what the files state, ask for what is missing, and write both files, the manifest with a row per frame.
+def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour: Colour, given: set[str]) -> None:
+    """Print what the images state, ask for what is missing, write or complete both files, and print what has changed.
 
     `scan` is the content of the folder, `answers` the value of each column or key that the user gave. `colour` says
-    which channel of colour images is read. The user is asked only at a terminal.
+    which channel of colour images is read, and `given` are the columns and keys with a value in existing files. The
+    user is asked only at a terminal.
     """
     # The draft has the rows of the manifest and the keys of the instrument file.
     draft = draft_manifest(scan, answers)
     print(*summarize_scan(str(folder), scan, draft), sep="\n")
-    if missing_keys := list(_list_missing_keys(draft)):
+    if missing_keys := [key for key in _list_missing_keys(draft) if key not in given]:
         if sys.stdin.isatty():
-            draft = draft_manifest(scan, answers | dict(pair for key in missing_keys if (pair := _ask_user(scan, key))))
+            answers |= dict(pair for key in missing_keys if (pair := _ask_user(scan, key)))
+            draft = draft_manifest(scan, answers)
         else:
             example = f"{missing_keys[0]}={QUESTIONS[missing_keys[0]][0].replace(' ', '')}"
             print(f"Not found: {', '.join(missing_keys)}.")
@@ -94,10 +99,17 @@ def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour:
             print("instrument.yaml. Without it the frames are evaluated as far as possible.")
     # The side of the crop is None if the default is large enough or no spot was found.
     proposal = propose_crop_size(folder, draft, colour)
-    if not proposal.has_spot:
+    print(*proposal.errors[:MAX_LISTED], sep="\n", end="\n" if proposal.errors else "")
+    if not proposal.has_spot and not proposal.errors:
         print("No spot stands out in these frames. Mark darks and flats by the words dark and flat in names of")
         print("files or folders, or in the column kind.")
-    template.write_template(folder, draft, proposal.side_px)
+    written, changes, remarks = completion.write_or_complete(folder, draft, proposal.side_px, answers)
+    for sentence in (*changes, *remarks):
+        print(sentence)
+    done = [f"wrote {', '.join(written)}"] if written else []
+    done += ["completed what was there"] if changes else []
+    done = done or ["nothing is missing that these images or --set give"]
+    print(f"{folder}: {', '.join(done)}; next: spotcheck check {folder}")
 
 
 def _ask_user(scan: FolderScan, key: str) -> tuple[str, str] | None:

@@ -34,6 +34,7 @@ class CropProposal(NamedTuple):
 
     side_px: int | None  # side of the crop [px] for the widest spot; None if the default is large enough
     has_spot: bool  # whether a spot was found, or no row is a spot frame
+    errors: tuple[str, ...] = ()  # one sentence for each frame of the sample that cannot be read
 
 
 def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOCHROME) -> CropProposal:
@@ -48,12 +49,13 @@ def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOC
     spot_frames = [frame for frame, row in zip(draft.frames, draft.rows, strict=True) if row["kind"] == "spot"]
     if not spot_frames:
         return CropProposal(None, True)
-    sigmas = []
-    # Every n-th frame, with n rounded up; unreadable frames are left out here and reported by the check.
+    sigmas, errors = list[float](), list[str]()
+    # Every n-th frame, with n rounded up.
     for frame in spot_frames[:: -(-len(spot_frames) // MAX_FRAMES)]:
         try:
             pixels = files.read_pixels(folder / frame.file, frame.page, frame.file, colour)
-        except InputError:
+        except InputError as error:
+            errors.append(str(error))
             continue
         if find_light_centroid(pixels, Instrument.crop_px).exists:
             sigmas.append(estimate_sigma(pixels))
@@ -61,7 +63,7 @@ def propose_crop_size(folder: Path, draft: ManifestDraft, colour: Colour = MONOC
     side = STEP_PX * -(-CROP_SIGMAS * max(sigmas, default=0.0) // STEP_PX)
     smallest_frame = min(min(frame.shape) for frame in spot_frames)
     side = int(min(smallest_frame, max(Instrument.crop_px, side)))
-    return CropProposal(None if side == Instrument.crop_px else side, bool(sigmas))
+    return CropProposal(None if side == Instrument.crop_px else side, bool(sigmas), tuple(errors))
 
 
 def estimate_sigma(pixels: np.ndarray) -> float:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.instrument import BadPixels, Instrument
@@ -21,6 +22,9 @@ from spotcheck.io.formats.page import PREVIEW_MESSAGE, Page
 
 # Side of the blocks of a reduced frame [px]: 64 × 48 numbers for a frame of 12 Mpx.
 BLOCK_PX = 64
+# Least share of good pixels in the best crop. A crop is ten standard deviations of the spot wide: a circle of radius
+# two of them holds 86 % of the light and covers 13 % of the crop. An inverted mask of pixels and lines leaves less.
+LEAST_GOOD_SHARE = 0.1
 # Most runs of consecutive pages that a message lists.
 MOST_RUNS = 5
 
@@ -79,9 +83,34 @@ def check_formats(dataset: Dataset) -> FrameFormat:
             f"instrument.yaml: crop_px is {instrument.crop_px}, but the frames have {columns} × {rows} px;"
             f" it must be at most {min(rows, columns)}"
         )
-    # Only for its errors.
-    build_bad_pixel_mask(instrument.bad_pixels, first_page.shape, get_colour(instrument))
+    is_bad = build_bad_pixel_mask(instrument.bad_pixels, first_page.shape, get_colour(instrument))
+    if is_bad is not None:
+        _check_good_region(is_bad, instrument)
     return FrameFormat(first_page.shape, first_page.bits, remarks)
+
+
+def _check_good_region(is_bad: np.ndarray, instrument: Instrument) -> None:
+    """Raise `InputError` if bad pixels leave no region in which a spot could be measured.
+
+    `is_bad` is the mask [rows, columns] of `build_bad_pixel_mask`.
+    """
+    if np.mean(is_bad) <= 1 - LEAST_GOOD_SHARE:
+        return
+    side = min(instrument.crop_px, *is_bad.shape)
+    # Regions that reach beyond the frame count what is outside as bad.
+    good_share = ndimage.uniform_filter((~is_bad).astype(np.float32), side, mode="constant")
+    if good_share.max() < LEAST_GOOD_SHARE:
+        raise InputError(
+            f"instrument.yaml: key bad_pixels leaves {np.count_nonzero(~is_bad)} of {is_bad.size} pixels, and nowhere"
+            f" {100 * LEAST_GOOD_SHARE:g} % of a crop of {side} × {side} px; {_advise_on_mask(instrument.bad_pixels)}"
+        )
+
+
+def _advise_on_mask(bad_pixels: BadPixels) -> str:
+    """Return what to do if nearly all pixels are bad: a mask may be inverted."""
+    if bad_pixels.mask is None:
+        return "name fewer columns, rows and pixels"
+    return f"in {Path(bad_pixels.mask).name!r} good pixels must be 0: invert the mask if there they are bright"
 
 
 def get_colour(instrument: Instrument) -> Colour:
@@ -187,7 +216,10 @@ def build_bad_pixel_mask(
     is_bad[pixels_y, pixels_x] = True
     is_bad = extract_plane(is_bad, colour)
     if is_bad.all():
-        raise InputError("instrument.yaml: key bad_pixels names every pixel of the frames; some must be left")
+        raise InputError(
+            "instrument.yaml: key bad_pixels names every pixel of the frames; some must be left:"
+            f" {_advise_on_mask(bad_pixels)}"
+        )
     return is_bad if is_bad.any() else None
 
 

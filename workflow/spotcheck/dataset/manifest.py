@@ -88,8 +88,7 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
     """
     if not path.is_file():
         raise InputError(f"{path.name}: not there; a dataset needs it ({', '.join(REQUIRED_COLUMNS)})")
-    columns, rows = _read_rows(path, conditions)
-    _check_columns(path, columns, conditions)
+    _, rows = read_rows(path, conditions)
     if not rows:
         raise InputError(f"{path.name}: no rows; it must name at least one frame")
     frames = tuple(_parse_row(path, line, row, conditions) for line, row in rows)
@@ -99,25 +98,35 @@ def read_manifest(path: Path, conditions: tuple[str, ...] = ()) -> tuple[Frame, 
     return frames
 
 
-def _read_rows(path: Path, conditions: tuple[str, ...]) -> tuple[list[str], list[tuple[int, dict[str | None, Any]]]]:
-    """Return the names of the columns, and for each row the number of its last line and its cells by column.
-
-    Known columns are spelt as in this module and in `conditions`, whatever their case. As in `csv.DictReader`, surplus
-    cells have the key None, and missing cells the value None. Raises `InputError`.
-    """
-    lines = [
+def list_lines(path: Path) -> list[tuple[int, str]]:
+    """Return number and text of each line of a manifest that is neither blank nor a comment."""
+    return [
         (number, line)
         for number, line in enumerate(re.split(r"\r\n|\r|\n", read_text(path)), start=1)
         if line.strip(" ,") and not (_is_comment(line, path.parent) or (number == 1 and SEPARATOR_LINE.fullmatch(line)))
     ]
+
+
+def read_rows(
+    path: Path, conditions: tuple[str, ...] = ()
+) -> tuple[list[str], list[tuple[int, dict[str | None, Any]]]]:
+    """Return the names of the columns, and for each row the number of its last line and its cells by column.
+
+    Known columns are spelt as in this module and in `conditions`, whatever their case. As in `csv.DictReader`, surplus
+    cells have the key None, and missing cells the value None. Cells are not checked. Raises `InputError` for columns
+    that are missing or stand twice.
+    """
+    lines = list_lines(path)
     spelling_of = {name.lower(): name for name in (*REQUIRED_COLUMNS, "page", PHOTONS, DATE, KEEP, *conditions)}
     try:
         reader = csv.DictReader([line for _, line in lines], skipinitialspace=True)
         columns = [spelling_of.get(name.strip().lower(), name.strip()) for name in reader.fieldnames or ()]
         reader.fieldnames = columns
-        return columns, [(lines[reader.line_num - 1][0], row) for row in reader]
+        rows = [(lines[reader.line_num - 1][0], row) for row in reader]
     except csv.Error as error:
         raise InputError(f"{path.name}: cannot be read as CSV ({error}); look for an unclosed quote") from None
+    _check_columns(path, columns, conditions)
+    return columns, rows
 
 
 def _is_comment(line: str, folder: Path) -> bool:

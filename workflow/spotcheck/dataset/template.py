@@ -6,7 +6,6 @@ from pathlib import Path
 
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS
 from spotcheck.dataset.scan.draft import ManifestDraft
-from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.io.schema import read_schema
 
@@ -30,34 +29,18 @@ INSTRUMENT_COMMENTS = """\
 # Take the # off the keys that you know. A missing key is never an error: it is taken from the frames
 # where they allow it, else the report says what could not be computed for want of it.
 """
+# Value and source of each known key of instrument.yaml, such as "sensor.bit_depth".
+KnownKeys = dict[str, tuple[object, str]]
+# Key of the law of the peak over exposure time, and its value and source where exposure times are missing.
+FREE_BUDGET = "model.photon_budget"
+FREE_BUDGET_VALUE = ("free", "without exposures no law links the peaks of the frames")
 
 
-def check_absent(folder: Path) -> None:
-    """Raise `InputError` if a folder already has a manifest or an instrument file; neither is ever overwritten."""
-    for name in ("manifest.csv", "instrument.yaml"):
-        if (folder / name).exists():
-            raise InputError(f"{folder / name}: is already there; choose another folder or move it away")
-
-
-def write_template(folder: Path, draft: ManifestDraft | None = None, crop_px: int | None = None) -> None:
-    """Write manifest.csv and instrument.yaml of a new dataset.
-
-    Parameters
-    ----------
-    folder : folder of the dataset.
-    draft : rows and keys that were found in images; None for files that the user fills in, with a folder frames/.
-    crop_px : side of the crops [px]; None for the default.
-
-    Raises
-    ------
-    InputError
-        If one of the files already exists.
-    """
-    check_absent(folder)
-    if draft is None:
-        (folder / "frames").mkdir(parents=True, exist_ok=True)
-    store.write_text(folder / "manifest.csv", _format_manifest(draft))
-    store.write_text(folder / "instrument.yaml", _format_instrument(draft, crop_px))
+def write_template(folder: Path) -> None:
+    """Write manifest.csv and instrument.yaml of a new dataset, which the user fills in, and make its folder frames/."""
+    (folder / "frames").mkdir(parents=True, exist_ok=True)
+    store.write_text(folder / "manifest.csv", format_manifest(None))
+    store.write_text(folder / "instrument.yaml", format_instrument(None, None))
 
 
 def list_settable_keys() -> dict[str, dict]:
@@ -73,7 +56,7 @@ def list_settable_keys() -> dict[str, dict]:
     }
 
 
-def _format_manifest(draft: ManifestDraft | None) -> str:
+def format_manifest(draft: ManifestDraft | None) -> str:
     """Return the text of manifest.csv: comments, header, and the rows of the draft or else an example."""
     text = io.StringIO()
     text.write(MANIFEST_COMMENTS)
@@ -84,26 +67,26 @@ def _format_manifest(draft: ManifestDraft | None) -> str:
     return text.getvalue()
 
 
-def _format_instrument(draft: ManifestDraft | None, crop_px: int | None) -> str:
+def format_instrument(draft: ManifestDraft | None, crop_px: int | None) -> str:
     """Return the text of instrument.yaml: known keys with their source, the others as comments with their meaning."""
-    known_keys = _collect_known_keys(draft, crop_px) if draft else {}
+    known_keys = collect_known_keys(draft, crop_px) if draft else {}
     lines = [INSTRUMENT_COMMENTS]
     for name, schema in read_schema("instrument")["properties"].items():
         if schema["type"] == "object":
             section = {f"{name}.{key}": key_schema for key, key_schema in schema["properties"].items()}
             lines.append(f"\n{name}:" if known_keys.keys() & section else f"\n# {name}:")
-            lines += [_format_key(full_key, key_schema, known_keys) for full_key, key_schema in section.items()]
+            lines += [format_key(full_key, key_schema, known_keys) for full_key, key_schema in section.items()]
         else:
-            lines.append(_format_key(name, schema, known_keys))
+            lines.append(format_key(name, schema, known_keys))
     if draft and draft.unused:
         lines += ["", "# Other metadata in the files, which is not used:"]
         lines += [f"#   {unused.text} ({unused.source})" for unused in draft.unused[:MOST_UNUSED]]
     return "\n".join(lines) + "\n"
 
 
-def _collect_known_keys(draft: ManifestDraft, crop_px: int | None) -> dict[str, tuple[object, str]]:
+def collect_known_keys(draft: ManifestDraft, crop_px: int | None) -> KnownKeys:
     """Return value and source of each key that the frames determine, such as "sensor.bit_depth"."""
-    known_keys: dict[str, tuple[object, str]] = {}
+    known_keys: KnownKeys = {}
     if not draft.is_order_known:
         known_keys["order_known"] = "false", "neither times nor one running number tell the order"
     if draft.conditions:
@@ -111,13 +94,13 @@ def _collect_known_keys(draft: ManifestDraft, crop_px: int | None) -> dict[str, 
     if crop_px:
         known_keys["crop_px"] = crop_px, "ten times the widest spot's standard deviation, as far as the frames reach"
     if draft.has_spots and all(row["exposure_s"] == "" for row in draft.rows if row["kind"] == "spot"):
-        known_keys["model.photon_budget"] = "free", "without exposures no law links the peaks of the frames"
+        known_keys[FREE_BUDGET] = FREE_BUDGET_VALUE
     for key, entry in draft.instrument_keys.items():
         known_keys[key] = entry.value, f"{entry.source}: {entry.text}"
     return known_keys
 
 
-def _format_key(full_key: str, key_schema: dict, known_keys: dict[str, tuple[object, str]]) -> str:
+def format_key(full_key: str, key_schema: dict, known_keys: KnownKeys) -> str:
     """Return the line of a key: its value and source if it is known, else a comment with its default and meaning.
 
     `full_key` includes the section: "sensor.bit_depth".

@@ -61,19 +61,23 @@ def read_keys(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise InputError(f"{path.name}: is no file; {SYNTAX}")
-    text = read_text(path)
+    return parse_keys(read_text(path), path.name)
+
+
+def parse_keys(text: str, name: str) -> dict[str, Any]:
+    """Return the keys and values of a YAML text from a file with a name. Raises `InputError` as `read_keys` does."""
     try:
         content = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or "not YAML"
-        raise InputError(f"{path.name}{line}: {problem}; {SYNTAX}") from None
+        raise InputError(f"{name}{line}: {problem}; {SYNTAX}") from None
     except (ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0][:MAX_REASON]
-        raise InputError(f"{path.name}: a value cannot be read ({reason}); it must be a number, text or list") from None
+        raise InputError(f"{name}: a value cannot be read ({reason}); it must be a number, text or list") from None
     if content is not None and not isinstance(content, dict):
-        raise InputError(f"{path.name}: holds no keys; {SYNTAX}")
+        raise InputError(f"{name}: holds no keys; {SYNTAX}")
     return content or {}
 
 

@@ -6,6 +6,11 @@ from pathlib import Path
 from spotcheck.errors import InputError
 
 
+def replace_unprintable(text: str) -> str:
+    """Return a text with a space in place of each character that cannot be printed, such as a control character."""
+    return text if text.isprintable() else "".join(letter if letter.isprintable() else " " for letter in text)
+
+
 def read_text(path: Path) -> str:
     """Return the text of a UTF-8 or UTF-16 file without its byte order mark. Raises `InputError` if it is neither."""
     content = path.read_bytes()

@@ -8,15 +8,19 @@ import numpy as np
 
 from spotcheck.dataset.metadata.entry import MetadataEntry, resolve_entries
 from spotcheck.dataset.metadata.file_names import natural_sort_key
+from spotcheck.dataset.metadata.log_tables import TableReader
 from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import CHANNELS, MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
-from spotcheck.io.formats.page import Page
+from spotcheck.io.formats.page import ImageError, Page
+from spotcheck.io.formats.pixel_checks import check_byte_order
 
 # Column and key of the metadata that a first look uses beside the pixel pitch: position along the beam, wavelength.
 Z, WAVELENGTH = "z_m", "laser.wavelength_m"
+# Most unreadable pages of a file that are reported one by one.
+MOST_ERRORS = 5
 
 ImageInput = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
 
@@ -60,7 +64,7 @@ def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
     """Open images and check that their pixels can be read.
 
     Every page of a stack is an image. The files of a folder are sorted by name, with numbers in numerical order.
-    Unreadable files are skipped if at least one is readable.
+    Unreadable files and pages are skipped if at least one image is readable.
 
     Parameters
     ----------
@@ -71,7 +75,7 @@ def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
     images : list of Image
         The images, in the order of the inputs.
     errors : list of str
-        One sentence for each skipped file.
+        One sentence for each skipped file or page; those of a file with many skipped pages end in their number.
 
     Raises
     ------
@@ -82,6 +86,7 @@ def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
         inputs = [inputs]  # type: ignore[list-item]
     images: list[Image] = []
     errors: list[InputError] = []
+    tables = TableReader()
     for number, item in enumerate(inputs):
         if not isinstance(item, str | Path):
             images.append(_wrap_array(item, number))
@@ -89,16 +94,38 @@ def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
             continue
         for file in _list_files(Path(item)):
             try:
-                pages = list(_open_pages(file))
-                # Damage may show only when pixels are decoded.
-                for image in pages:
-                    image.read()
-                images += pages
+                pages = list(_open_pages(file, tables))
             except InputError as error:
                 errors.append(error)
+                continue
+            readable_pages, page_errors = _select_readable(pages, file.name)
+            images += readable_pages
+            errors += page_errors
     if not images:
         raise errors[0] if errors else InputError("images: none is given; name image files or a folder of them")
     return images, [str(error) for error in errors]
+
+
+def _select_readable(pages: Sequence[Image], name: str) -> tuple[list[Image], list[InputError]]:
+    """Return the pages of a file whose pixels can be decoded and hold a reading, and the errors of the others.
+
+    `name` is the name of the file. There is one error if no page is readable, and otherwise at most `MOST_ERRORS` and
+    one with the number of the rest.
+    """
+    readable_pages: list[Image] = []
+    errors: list[InputError] = []
+    for image in pages:
+        try:
+            image.read()
+            readable_pages.append(image)
+        except InputError as error:
+            errors.append(error)
+    if not readable_pages:
+        return [], errors[:1]
+    more = len(errors) - MOST_ERRORS
+    if more > 0:
+        errors[MOST_ERRORS:] = [InputError(f"{name}: {more} more pages cannot be read; leave them out")]
+    return readable_pages, errors
 
 
 def find_folder(path: Path) -> Path:
@@ -134,16 +161,17 @@ def _list_files(path: Path) -> list[Path]:
     return sorted(images, key=lambda file: natural_sort_key(file.name))
 
 
-def _open_pages(path: Path) -> Iterator[Image]:
+def _open_pages(path: Path, tables: TableReader) -> Iterator[Image]:
     """Yield every page of every stack of a file, or of the stack at the path inside it, without previews.
 
-    Raises `InputError`.
+    `tables` has read the tables of the folders for earlier files. Raises `InputError`.
     """
     name, inner_path = split_inner_path(path.as_posix())
     file = Path(name)
     for stack in [f"{file.name}#{inner_path}"] if inner_path else files.list_stacks(file, file.name):
-        source, entries = file.parent / stack, read_metadata(file, inner_path=split_inner_path(stack)[1])
+        source = file.parent / stack
         pages, colour = _list_pages(source, stack)
+        entries = read_metadata(file, None, split_inner_path(stack)[1], len(pages), tables)
         image_pages = [(page_number, page) for page_number, page in enumerate(pages) if not page.preview]
         for page_number, page in image_pages:
             title = stack if len(image_pages) == 1 else f"{stack} page {page_number}"
@@ -173,7 +201,7 @@ def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:
 def _wrap_array(pixels: np.ndarray, number: int) -> Image:
     """Return an array as an image; `number` is its position in the inputs, from 0.
 
-    Raises `InputError` if it is not two-dimensional and numeric.
+    Raises `InputError` if it is not two-dimensional and numeric, or its bytes are swapped.
     """
     array = np.ma.asanyarray(pixels)
     if array.ndim != 2 or array.dtype.kind not in "uif" or not array.size:
@@ -181,5 +209,9 @@ def _wrap_array(pixels: np.ndarray, number: int) -> Image:
             f"images: number {number} has the shape {array.shape} and the type {array.dtype}; each must be numbers"
             " [rows, columns]"
         )
+    try:
+        check_byte_order(np.ma.getdata(array).astype(array.dtype.newbyteorder("="), copy=False))
+    except ImageError as error:
+        raise InputError(f"image {number}: {error}") from None
     bits = 8 * array.dtype.itemsize if array.dtype.kind == "u" else None
     return Image(f"image {number}", array, array.shape, 0, bits)

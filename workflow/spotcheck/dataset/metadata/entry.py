@@ -5,6 +5,8 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from spotcheck.io.text import replace_unprintable
+
 # Numbers that differ by less than this fraction are equal: file names round what tags store to more digits.
 ROUNDING_TOLERANCE = 0.01
 # Key of the pixel pitch, and the column of the binning: side of the square of sensor pixels that are read as one.
@@ -34,6 +36,11 @@ class MetadataEntry:
     source: str
     page: int | None = None
     includes_binning: bool = False
+
+    def __post_init__(self) -> None:
+        """Replace characters that would change a terminal, and that YAML refuses even in comments."""
+        for name in ("text", "source"):
+            object.__setattr__(self, name, replace_unprintable(getattr(self, name)))
 
     @property
     def source_pattern(self) -> str:

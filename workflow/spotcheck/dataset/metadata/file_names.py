@@ -1,4 +1,4 @@
-"""Metadata in names of files and folders: `45deg/100us_003.tif`, `t=1.5ms`, `z_176mm`, `dark_07`."""
+"""Metadata in names of files, folders and HDF5 datasets: `45deg/100us_003.tif`, `t=1.5ms`, `scan.h5#/dark_07`."""
 
 import re
 from collections.abc import Iterator
@@ -8,8 +8,10 @@ from spotcheck.dataset.metadata import units
 from spotcheck.dataset.metadata.entry import MetadataEntry
 from spotcheck.dataset.metadata.key_values import KEYS, KIND_WORDS, parse_date
 
-# Sources of entries from names.
+# Sources of entries from names; a dataset is an array in an HDF5 file, and a group is a folder in it.
 FILE, FOLDER = "file name", "folder name"
+DATASET, GROUP = "name of the HDF5 dataset", "name of the HDF5 group"
+NAME_SOURCES = (FILE, FOLDER, DATASET, GROUP)
 # Most characters of a name that are parsed; longer runs of digits than MOST_DIGITS are sorted as text.
 LONGEST_NAME, MOST_DIGITS = 250, 19
 # A number with its unit, perhaps with a word before it and a gap between them. Some names write 1p5 for 1.5.
@@ -47,12 +49,12 @@ WAVELENGTHS_M = (1.5e-7, 1.2e-6)
 
 
 def parse_name(name: str, source: str = FILE) -> Iterator[MetadataEntry]:
-    """Yield the metadata in the stem of a file name or in the name of a folder.
+    """Yield the metadata in the stem of a file name, or in the name of a folder, HDF5 dataset or HDF5 group.
 
     Parameters
     ----------
     name : the name without suffix.
-    source : `FILE` or `FOLDER`; only a file has a number at its end.
+    source : one of `NAME_SOURCES`; the number at the end of a folder or group is not read.
     """
     # The part of the name that is not understood so far.
     rest = name = name[:LONGEST_NAME]
@@ -80,13 +82,33 @@ def parse_name(name: str, source: str = FILE) -> Iterator[MetadataEntry]:
             yield entry
             rest = rest.replace(match[0], " ", 1)
     # 4. The running number at the end.
-    if source == FILE and (number_match := _TRAILING_NUMBER.search(rest.rstrip())):
+    if source in (FILE, DATASET) and (number_match := _TRAILING_NUMBER.search(rest.rstrip())):
         yield MetadataEntry("number", int(number_match[1]), number_match[1], source)
 
 
-def parse_path(path: PurePath) -> Iterator[MetadataEntry]:
-    """Yield the metadata in a relative path: first the file name, then its folders from the innermost outwards."""
-    yield from parse_name(path.stem, FILE)
+def parse_path(path: PurePath, inner_path: str = "") -> Iterator[MetadataEntry]:
+    """Yield the metadata in the names of a path, from the innermost outwards.
+
+    Parameters
+    ----------
+    path : relative path of a file.
+    inner_path : path of a dataset inside an HDF5 file; "" for other files.
+    """
+    file_entries = list(parse_name(path.stem, FILE))
+    if inner_path:
+        *groups, dataset = PurePath(inner_path).parts
+        inner_entries = list(parse_name(dataset, DATASET))
+        for group in reversed(groups):
+            inner_entries += parse_name(group, GROUP)
+        inner_columns = {entry.column for entry in inner_entries}
+        # The name of a file may list the kinds of its datasets: dark_and_flat.h5.
+        if "kind" in inner_columns and len({entry.value for entry in file_entries if entry.column == "kind"}) > 1:
+            file_entries = [entry for entry in file_entries if entry.column != "kind"]
+        # Files are counted rather than datasets: many programs give the only dataset of each file the same number.
+        if any(entry.column == "number" for entry in file_entries):
+            inner_entries = [entry for entry in inner_entries if entry.column != "number"]
+        yield from inner_entries
+    yield from file_entries
     for folder in reversed(path.parts[:-1]):
         if folder not in ("..", "/"):
             yield from parse_name(folder, FOLDER)

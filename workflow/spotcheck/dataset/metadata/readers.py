@@ -5,6 +5,7 @@ from pathlib import Path, PurePath
 
 from spotcheck.dataset.metadata import file_names, key_values, sidecar, tags
 from spotcheck.dataset.metadata.entry import MetadataEntry
+from spotcheck.dataset.metadata.log_tables import TableReader
 from spotcheck.io.formats import files, hdf5, png, tiff
 
 # First bytes of a file, name in messages, and reader of each image format with metadata. HDF5 has a reader of another
@@ -15,14 +16,22 @@ READERS: tuple[tuple[tuple[bytes, ...], str, Callable[[Path], Iterator[MetadataE
 )
 
 
-def read_metadata(path: Path, root: Path | None = None, inner_path: str = "") -> tuple[MetadataEntry, ...]:
-    """Return the metadata of an image file, the most exact sources first: tags, sidecar files, then names.
+def read_metadata(
+    path: Path,
+    root: Path | None = None,
+    inner_path: str = "",
+    page_count: int | None = None,
+    tables: TableReader | None = None,
+) -> tuple[MetadataEntry, ...]:
+    """Return the metadata of an image file, the most exact sources first: tags, sidecar files, tables, then names.
 
     Parameters
     ----------
     path : the image file.
     root : folder below which names of folders are parsed too; None for the file name alone.
     inner_path : path of the frames inside an HDF5 file; "" for other files and for the only frames of a file.
+    page_count : number of pages of these frames; None if it is not known.
+    tables : reader that has read the tables of folders for other images; None to read them for this image alone.
 
     Returns
     -------
@@ -38,7 +47,8 @@ def read_metadata(path: Path, root: Path | None = None, inner_path: str = "") ->
     if first_bytes.startswith(hdf5.SIGNATURE):
         entries += _collect(_read_hdf5(path, inner_path), "HDF5")
     entries += _collect(sidecar.read_sidecars(path), "side file")
-    entries += file_names.parse_path(path.relative_to(root) if root else PurePath(path.name))
+    entries += _collect((tables or TableReader()).read_entries(path, page_count), "table")
+    entries += file_names.parse_path(path.relative_to(root) if root else PurePath(path.name), inner_path)
     return tuple(entries)
 
 

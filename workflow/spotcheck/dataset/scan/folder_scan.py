@@ -9,12 +9,14 @@ from typing import NamedTuple
 from spotcheck.dataset.folder import is_hidden
 from spotcheck.dataset.metadata import sidecar
 from spotcheck.dataset.metadata.entry import MetadataEntry
-from spotcheck.dataset.metadata.file_names import FILE, FOLDER, natural_sort_key
+from spotcheck.dataset.metadata.file_names import NAME_SOURCES, natural_sort_key
+from spotcheck.dataset.metadata.log_tables import TableReader
 from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
+from spotcheck.io.text import replace_unprintable
 
 
 @dataclass(frozen=True)
@@ -52,20 +54,25 @@ def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
     visible_files = [path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder))]
     images = _select_images(folder, visible_files)
     frames, errors, read_files = list[ScannedFrame](), list[str](), set(images)
+    tables, table_folders = TableReader(), set[Path]()
     for image in images:
         name = image.relative_to(folder).as_posix()
         if not name.isprintable():
             raise InputError(f"{name!r}: the name contains characters that cannot be printed; rename the file")
         try:
-            frames += _scan_image(image, folder, colour)
+            frames += _scan_image(image, folder, colour, tables)
         except InputError as error:
             errors.append(str(error))
             continue
         read_files.update(sidecar.find_sidecars(image))
         # Tables are searched in the folder of an image and in its parent.
-        for parent in image.parents[:2]:
-            read_files.update(sidecar.find_tables(parent))
-    unread_files = sorted(path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
+        table_folders.update(image.parents[:2])
+    for table_folder in table_folders:
+        read_files.update(tables.find_tables(table_folder))
+    # The results of an earlier scan are no sources.
+    read_files.update((folder / "manifest.csv", folder / "instrument.yaml"))
+    unread_paths = (path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
+    unread_files = sorted(map(replace_unprintable, unread_paths))
     return FolderScan(_restore_signs(frames), tuple(unread_files), tuple(errors))
 
 
@@ -78,13 +85,16 @@ def _select_images(folder: Path, visible_files: list[Path]) -> list[Path]:
     return sorted(images, key=lambda path: natural_sort_key(path.relative_to(folder).as_posix()))
 
 
-def _scan_image(image: Path, folder: Path, colour: Colour) -> Iterator[ScannedFrame]:
-    """Yield the frames of all stacks in an image file, without previews. Raises `InputError` if one is unreadable."""
+def _scan_image(image: Path, folder: Path, colour: Colour, tables: TableReader) -> Iterator[ScannedFrame]:
+    """Yield the frames of all stacks in an image file, without previews. Raises `InputError` if one is unreadable.
+
+    `tables` has read the tables of the folders for earlier images.
+    """
     stacks = files.list_stacks(image, image.relative_to(folder).as_posix())
     # The headers of all stacks are read first, so that a file with an unreadable stack gives no frame.
     pages_by_stack = {stack: files.list_pages(folder / stack, stack, colour) for stack in stacks}
     for stack, pages in pages_by_stack.items():
-        entries = read_metadata(image, folder, split_inner_path(stack)[1])
+        entries = read_metadata(image, folder, split_inner_path(stack)[1], len(pages), tables)
         for page_number, page in enumerate(pages):
             if not page.preview:
                 page_entries = tuple(entry for entry in entries if entry.page in (None, page_number))
@@ -96,14 +106,14 @@ def _restore_signs(frames: list[ScannedFrame]) -> tuple[ScannedFrame, ...]:
 
     `z-5mm` is -5 mm beside `z+5mm` or `z0mm`, and otherwise 5 mm.
     """
-    texts = {entry.text for frame in frames for entry in frame.metadata if entry.source in (FILE, FOLDER)}
+    texts = {entry.text for frame in frames for entry in frame.metadata if entry.source in NAME_SOURCES}
     # Words directly followed by a number or a plus: a hyphen behind them is no separator.
     signed_words = {match[1] for text in texts if (match := re.match(r"([^\W\d_]+)\+?\d", text))}
 
     def restore_sign(entry: MetadataEntry) -> MetadataEntry:
         """Return the entry with a negative number if its text has one of `signed_words` and a hyphen."""
         match = re.match(r"([^\W\d_]+)-\d", entry.text)
-        is_negative = match is not None and match[1] in signed_words and entry.source in (FILE, FOLDER)
+        is_negative = match is not None and match[1] in signed_words and entry.source in NAME_SOURCES
         return replace(entry, value=-entry.value) if is_negative and isinstance(entry.value, float) else entry
 
     return tuple(replace(frame, metadata=tuple(map(restore_sign, frame.metadata))) for frame in frames)

@@ -47,20 +47,51 @@ def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterato
 
 
 def _format_table(draft: ManifestDraft) -> Iterator[str]:
-    """Yield the lines of a table with the values and sources of each column and key, after a line of headings."""
+    """Yield the lines of a table with values, sources and doubts of each column and key, after a line of headings."""
+    doubts = _collect_doubts(draft)
     lines = [("column", "values", "from")]
     for column in METADATA_COLUMNS:
+        is_listed = column in draft.columns or column in draft.provenance or column in doubts
         # Only spots have an angle.
-        if (column in draft.columns or column in draft.provenance) and (column != "angle_deg" or draft.has_spots):
+        if is_listed and (column != "angle_deg" or draft.has_spots):
             values = _summarize_values([row[column] for row in draft.rows if row[column] != ""])
-            sources = draft.provenance.get(column, Counter()).most_common(MOST_EXAMPLES)
-            lines.append((column, values, "; ".join(_format_source(source, count) for source, count in sources)))
+            lines.append((column, values, "; ".join([*_format_sources(column, draft), *doubts.pop(column, ())])))
     for key, entry in draft.instrument_keys.items():
         value = f"{entry.value:g}" if isinstance(entry.value, float) else str(entry.value)
-        lines.append((key, value, f"{entry.source} ({entry.text})"))
+        lines.append((key, value, "; ".join([f"{entry.source} ({entry.text})", *doubts.pop(key, ())])))
+    for key, texts in doubts.items():
+        lines.append((key, "left blank", "; ".join([*_format_sources(key, draft), *texts])))
     widths = [max(len(line[column]) for line in lines) for column in (0, 1)]
     for name, values, source in lines:
         yield f"  {name:{widths[0]}}  {values:{widths[1]}}  {source}".rstrip()
+
+
+def _collect_doubts(draft: ManifestDraft) -> dict[str, list[str]]:
+    """Return why values of a column or key are left blank in some frames, by column or key."""
+    doubts: dict[str, list[str]] = {}
+    for conflict in draft.conflicts:
+        doubts.setdefault(conflict.column, []).append(f"contradictory in {_count_frames(conflict.frames)}")
+    for unused in draft.unused:
+        if unused.column:
+            doubts.setdefault(unused.column, []).append(f"unclear in {_count_frames(unused.frames)}")
+    for key in draft.provenance:
+        if "." in key and key not in draft.instrument_keys:
+            doubts.setdefault(key, []).append("differs between frames or is out of range")
+    if PITCH in draft.instrument_keys:
+        # The binning matters to nothing else.
+        doubts.pop(BINNING, None)
+    return doubts
+
+
+def _count_frames(count: int) -> str:
+    """Return a number of frames as text."""
+    return f"{count} frame{'s' if count > 1 else ''}"
+
+
+def _format_sources(column: str, draft: ManifestDraft) -> list[str]:
+    """Return the sources of a column or key, the most frequent first, each with the text of its first value."""
+    sources = draft.provenance.get(column, Counter()).most_common(MOST_EXAMPLES)
+    return [_format_source(source, count) for source, count in sources]
 
 
 def _format_source(source_and_example: tuple[str, str], count: int) -> str:
@@ -90,6 +121,11 @@ def _format_conflict(conflict: Conflict) -> str:
     disagreement = f"{column}: {first}, but {second}{f' ({frames} frames)' if frames > 1 else ''}"
     if column == BINNING:
         return f"{disagreement}; {PITCH_LEFT_BLANK}"
+    if first.source_pattern == second.source_pattern:
+        return (
+            f"{disagreement}; left blank: correct it there, with one row for each image by its folder and name or for"
+            f" each page of a stack, or give the value of all frames by --set {column}=VALUE"
+        )
     return (
         f"{disagreement}; left blank: say which is right"
         f' by --set "{column}={first.source_pattern}" or --set "{column}={second.source_pattern}"'

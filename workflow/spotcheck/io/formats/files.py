@@ -12,6 +12,7 @@ from spotcheck.io.formats import hdf5, npy, pgm, png, tiff
 from spotcheck.io.formats.colour import MONOCHROME, Colour, extract_plane, select_plane
 from spotcheck.io.formats.names import split_inner_path
 from spotcheck.io.formats.page import ONE_CHANNEL, ImageError, Page
+from spotcheck.io.formats.pixel_checks import check_byte_order, check_colours
 
 
 class Reader(Protocol):
@@ -87,12 +88,15 @@ def read_pixels(
     """Return the stored pixels [row, column] of one colour plane of a page.
 
     Pages count from 0. The path, the name of the file in messages, and the exceptions are those of `list_pages`.
-    Floating-point pixels raise `InputError` unless `allow_floats`.
+    Floating-point pixels raise `InputError` unless `allow_floats`; swapped bytes and false colours raise it always.
     """
     with _open_reader(path, name) as reader:
         pixels = reader.read_pixels(path, page)
         if not allow_floats and pixels.dtype.kind == "f":
             raise ImageError(FLOATING_POINT)
+        check_byte_order(pixels)
+        if pixels.ndim == 3 and pixels.dtype.kind == "u":
+            check_colours(pixels)
         return extract_plane(pixels, colour)
 
 

@@ -91,6 +91,11 @@ def read_pixels(path: Path, page: int) -> np.ndarray:
         if not all(word.isdigit() and len(word) <= MOST_DIGITS for word in words):
             raise ImageError("holds pixels that are not whole numbers; copy the file again")
         pixels = np.array(words, dtype=int)
+    if header.binary and pixels.max() > header.white >= pixels.byteswap().max():
+        raise ImageError(
+            f"has its high and low bytes swapped: only then no value is above its white of {header.white};"
+            " save it with the high byte first"
+        )
     if pixels.max() > header.white:
         raise ImageError(f"holds the value {pixels.max()}, above its own white of {header.white}; copy the file again")
     return pixels.astype(np.uint16 if header.bits == 16 else np.uint8).reshape(header.rows, header.columns)

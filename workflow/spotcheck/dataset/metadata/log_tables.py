@@ -1,0 +1,245 @@
+"""Log tables and lists of EMVA 1288 data, which describe the images in their folder and in the folders below it.
+
+A table has one row per image, or per page of a stack. An EMVA 1288 list describes a reference data set for the
+characterization of a camera: images at several light levels.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from pathlib import Path, PureWindowsPath
+
+from spotcheck.dataset.metadata import key_values, units
+from spotcheck.dataset.metadata.entry import MetadataEntry
+from spotcheck.errors import InputError
+from spotcheck.io.text import read_text
+
+TABLE_SUFFIXES = (".csv", ".tsv")
+# Headings of the column that names the images, as `key_values.normalize_key` spells them.
+NAME_HEADINGS = ("file", "filename", "filepath", "image", "imagename", "imagefile", "frame", "framename", "path")
+# Separators of cells.
+SEPARATORS = (",", ";", "\t")
+# Most rows of a table that are read.
+MOST_ROWS = 100_000
+# Lines that an EMVA 1288 list must have: n with bits, columns and rows; b (bright) or d (dark) with exposure [ns] and
+# photons per pixel of a light level; i with the path of an image of the level above it.
+_EMVA_LINES = tuple(re.compile(rf"(?m)^{line}") for line in (r"n\s+\d+\s+\d+\s+\d+", r"[bd]\s+\d", r"i\s+\S"))
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """One row of a table, or one image of an EMVA 1288 list."""
+
+    path: tuple[str, ...]  # parts of the path by which the row names its image; the last one is the file name
+    entries: tuple[MetadataEntry, ...]  # what the row gives
+
+    @property
+    def name(self) -> str:
+        """The path of the image in messages."""
+        return "/".join(self.path)
+
+
+# Rows by the file name of their image, without folders.
+RowsByName = dict[str, list[TableRow]]
+
+
+class TableReader:
+    """Reader of the tables in folders, which reads each of them once.
+
+    A table that changes later is not read again: each scan of a folder makes a reader of its own.
+    """
+
+    def __init__(self) -> None:
+        """Start without any folder."""
+        # Tables of each folder, and its rows: by file name of the image, (path of the table, rows of that image).
+        self._tables: dict[Path, list[Path]] = {}
+        self._rows: dict[Path, dict[str, list[tuple[Path, list[TableRow]]]]] = {}
+        # Number of images of each name in the folders directly below a folder.
+        self._namesakes: dict[Path, Counter[str]] = {}
+
+    def find_tables(self, folder: Path) -> list[Path]:
+        """Return the tables and EMVA 1288 lists in a folder that describe images, sorted by name."""
+        self._read_folder(folder)
+        return self._tables[folder]
+
+    def read_entries(self, image: Path, page_count: int | None = None) -> Iterator[MetadataEntry]:
+        """Yield what the tables in the folder of an image and in the folder above it give for the image.
+
+        A table gives the row whose path has most folders in common with that of the image. Several rows of one path
+        describe the pages of a stack in their order. Rows that cannot be told apart give all their entries, so that
+        the values in which they differ are in conflict; the texts of these entries start with the path in the row.
+
+        Parameters
+        ----------
+        image : path of the image.
+        page_count : number of pages of the image; None if it is not known.
+        """
+        for folder in image.parents[:2]:
+            self._read_folder(folder)
+            for table, rows in self._rows[folder].get(image.name, ()):
+                # A table of this image alone is named in messages as other files beside an image are.
+                is_own = table.stem == image.stem and table.parent == image.parent
+                source = f"side file {table.name}" if is_own else table.name
+                for entry in self._select_entries(rows, image, folder, page_count):
+                    yield replace(entry, source=source)
+
+    def _select_entries(
+        self, rows: Sequence[TableRow], image: Path, folder: Path, page_count: int | None
+    ) -> Iterator[MetadataEntry]:
+        """Yield the entries of the rows that describe an image, among the rows of a table that have its file name.
+
+        `folder` is that of the table. The other parameters are those of `read_entries`.
+        """
+        relative_path, full_path = image.relative_to(folder).parts, image.absolute().parts
+        common_parts = [_count_common_parts(row.path, full_path) for row in rows]
+        is_exact = [row.path == relative_path for row in rows]
+        best = max(zip(is_exact, common_parts, strict=True))
+        selected = [row for row, *rank in zip(rows, is_exact, common_parts, strict=True) if tuple(rank) == best]
+        paths = {row.path for row in selected}
+        if len(paths) == 1 and _names_another_file(selected[0].path, best[1], folder, image):
+            return
+        has_pages = len(paths) == 1 and (page_count is None or len(selected) <= page_count)
+        # Names without folders, which repeat, may be those of images in several folders or of pages.
+        may_be_namesakes = len(selected[0].path) == 1 and relative_path != selected[0].path
+        if len(selected) == 1:
+            yield from selected[0].entries
+        elif has_pages and not (may_be_namesakes and self._count_namesakes(folder, image.name) > 1):
+            for page, row in enumerate(selected):
+                yield from (replace(entry, page=page) for entry in row.entries)
+        else:
+            for row in selected:
+                yield from (replace(entry, text=f"{row.name}: {entry.text}") for entry in row.entries)
+
+    def _count_namesakes(self, folder: Path, name: str) -> int:
+        """Return the number of files with a name in the folders directly below a folder."""
+        if folder not in self._namesakes:
+            self._namesakes[folder] = Counter(path.name for path in folder.glob("*/*"))
+        return self._namesakes[folder][name]
+
+    def _read_folder(self, folder: Path) -> None:
+        """Read the tables of a folder, unless that was done before."""
+        if folder in self._rows:
+            return
+        self._tables[folder], self._rows[folder] = [], {}
+        for path in sorted(folder.iterdir()):
+            if not (path.suffix.lower() == ".txt" or _may_be_table(path)) or not path.is_file():
+                continue
+            if rows_by_name := _read_table(path):
+                self._tables[folder].append(path)
+            for name, rows in rows_by_name.items():
+                self._rows[folder].setdefault(name, []).append((path, rows))
+
+
+def _count_common_parts(path: Sequence[str], other: Sequence[str]) -> int:
+    """Return the number of parts at the end of two paths that are equal."""
+    pairs = zip(reversed(path), reversed(other), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+
+
+def _names_another_file(path: Sequence[str], common_parts: int, folder: Path, image: Path) -> bool:
+    """Return whether the path in a row leads to another file than an image, from the folder of the table.
+
+    Folders at the start of the path are dropped one by one, as those of another computer do not exist here.
+    `common_parts` is the number of parts that the path has in common with the path of the image.
+    """
+    for count in range(len(path), common_parts, -1):
+        candidate = folder.joinpath(*path[-count:])
+        # A row may hold a name that the operating system refuses, such as a very long one.
+        with suppress(OSError, ValueError):
+            if candidate.is_file() and not candidate.samefile(image):
+                return True
+    return False
+
+
+def _read_table(path: Path) -> RowsByName:
+    """Return the rows of a table or EMVA 1288 list by file name of the image; empty for any other file."""
+    try:
+        text = read_text(path) if path.stat().st_size <= key_values.LONGEST_TEXT else ""
+    except InputError:
+        return {}
+    if _may_be_table(path):
+        return parse_table(text, path.name)
+    return parse_emva_list(text, path.name) if all(line.search(text) for line in _EMVA_LINES) else {}
+
+
+def _may_be_table(path: Path) -> bool:
+    """Return whether a file may be a table of images by its name; the manifest is an output, not a source."""
+    return path.suffix.lower() in TABLE_SUFFIXES and path.name != "manifest.csv"
+
+
+def _add_row(rows_by_name: RowsByName, image: str, entries: Sequence[MetadataEntry]) -> None:
+    """Add the row of an image; `image` is its path, with folders that are separated by either kind of slash."""
+    path = PureWindowsPath(image).parts
+    if path:
+        rows_by_name.setdefault(path[-1], []).append(TableRow(path, tuple(entries)))
+
+
+def parse_table(text: str, source: str) -> RowsByName:
+    """Return the rows of a table with one row per image, or per page of a stack.
+
+    Parameters
+    ----------
+    text : content of the table; lines that start with # are comments.
+    source : name of the file, the source of the entries.
+
+    Returns
+    -------
+    dict
+        Rows by file name of the image; empty if no column names images, or the text is not a table.
+    """
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        return {}
+    try:
+        # The separator is the candidate that is most frequent in the header.
+        reader = csv.DictReader(lines[: MOST_ROWS + 1], delimiter=max(SEPARATORS, key=lines[0].count))
+        heading_of = {key_values.normalize_key(heading): heading for heading in reversed(reader.fieldnames or ())}
+        # Rows with surplus cells (key None) or missing ones (value None) are dropped.
+        rows = [row for row in reader if None not in row and None not in row.values()]
+    except csv.Error:
+        return {}
+    name_heading = next((heading_of[name] for name in NAME_HEADINGS if name in heading_of), None)
+    if name_heading is None:
+        return {}
+    # Only columns of quantities: a comma in a remark is no part of a number.
+    for heading in filter(key_values.is_quantity, heading_of.values()):
+        for row, cell in zip(rows, units.resolve_commas([row[heading] for row in rows]), strict=True):
+            row[heading] = cell
+    rows_by_name: RowsByName = {}
+    for row in rows:
+        image = row.pop(name_heading).strip()
+        pairs = [(heading.strip(), cell.strip()) for heading, cell in row.items() if cell.strip()]
+        _add_row(rows_by_name, image, list(key_values.parse_pairs(pairs, source)))
+    return rows_by_name
+
+
+def parse_emva_list(text: str, source: str) -> RowsByName:
+    """Return the images of the list of an EMVA 1288 reference data set, by file name.
+
+    Lines that are not understood are skipped. `source` is the name of the file.
+    """
+    rows_by_name: RowsByName = {}
+    # Entries of all images of the camera, and of those of the current light level.
+    camera_entries: tuple[MetadataEntry, ...] = ()
+    level_entries: tuple[MetadataEntry, ...] = ()
+    for line in text.splitlines():
+        cells = line.split()
+        match cells[:1], cells[1:]:
+            case ["n"], [bits, *_] if bits.isdecimal():
+                camera_entries = (MetadataEntry("sensor.bit_depth", int(bits), line, source),)
+            case ["b" | "d" as letter], [exposure, *photons]:
+                values: dict[str, float | int | str | None] = {
+                    "kind": "flat" if letter == "b" else "dark",
+                    "exposure_s": key_values.parse_value(exposure, "ns", "s"),
+                }
+                if letter == "b":
+                    # A plain number is read as one in seconds, whose factor is 1.
+                    values["photons_per_px"] = key_values.parse_value((photons or [""])[0], "s", "s")
+                level_entries = tuple(MetadataEntry(*item, line, source) for item in values.items())
+            case ["i"], [*words]:
+                _add_row(rows_by_name, " ".join(words), (*level_entries, *camera_entries))
+    return rows_by_name
