@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.characterization.noise_curve import measure_pair_correlation
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import PHOTONS, Frame
@@ -47,6 +48,7 @@ class Level:
     at_full: float  # part of the pixels that read full scale
     pattern: PatternVariances  # variances of the fixed pattern [DN²]; NaN with a single frame
     shape: tuple[int, int]  # rows and columns of a frame
+    noise_range_px: int = 0  # distance over which pixels share noise in the first two frames [px]; 0: they do not
 
     @property
     def is_saturated(self) -> bool:
@@ -199,7 +201,7 @@ def measure_level(
     """
     means, row_variances, patterns = list[float](), list[np.ndarray](), list[PatternVariances]()
     pixels_at_zero = pixels_at_full = pixels = 0
-    previous = np.zeros((0, 0))
+    previous, noise_range_px = np.zeros((0, 0)), 0
     for index, frame in enumerate(images):
         image = frame.astype(float)
         means.append(float(np.nanmean(image)))
@@ -209,6 +211,8 @@ def measure_level(
         if index % 2:
             row_variances.append(estimate_row_variances(previous, image))
             patterns.append(estimate_pattern_variances(previous, image))
+        if index == 1:
+            noise_range_px = measure_pair_correlation(previous, image).range_px
         previous = image
     variance = variance_error = mean_error = np.nan
     pattern = PatternVariances(*[np.nan] * len(PatternVariances._fields))
@@ -231,6 +235,7 @@ def measure_level(
         at_full=pixels_at_full / pixels,
         pattern=pattern,
         shape=(previous.shape[0], previous.shape[1]),
+        noise_range_px=noise_range_px,
     )
 
 

@@ -270,12 +270,36 @@ def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseC
     normalized = np.full(differences.difference.size, np.nan)
     for level_bin in _sort_into_bins(differences, full_scale_dn):
         normalized[level_bin.indices] = differences.difference.ravel()[level_bin.indices] / np.sqrt(level_bin.variance)
+    return _correlate_differences(normalized.reshape(differences.difference.shape))
+
+
+def measure_pair_correlation(first: np.ndarray, second: np.ndarray) -> NoiseCorrelation:
+    """Return how far the noise of two frames [rows, columns] in DN of the same light is correlated between pixels.
+
+    The light and the noise that whole rows or columns share cancel. The result is that of `measure_noise_correlation`.
+    """
+    difference = compute_differences(first - second).difference
+    is_known = np.isfinite(difference)
+    if not is_known.any():
+        return NoiseCorrelation(0, True)
+    variance, is_inlier = _trim_outliers(difference[is_known])
+    normalized = np.full(difference.shape, np.nan)
+    # Frames without noise, such as saturated ones, have no correlation either.
+    if variance > 0:
+        normalized[is_known] = np.where(is_inlier, difference[is_known] / np.sqrt(variance), np.nan)
+    return _correlate_differences(normalized)
+
+
+def _correlate_differences(normalized: np.ndarray) -> NoiseCorrelation:
+    """Return the correlation of differences of neighbouring pixels [row, column] in units of their noise; NaN: unknown.
+
+    With too few differences the noise counts as white.
+    """
     if np.isfinite(normalized).sum() < 2 * MIN_COUNT:
         return NoiseCorrelation(0, True)
-    normalized_image = normalized.reshape(differences.difference.shape)
     range_px, is_white = 0, True
     # Neighbours down a column, then, in the transposed image, along a row.
-    for lines in (normalized_image, normalized_image.T):
+    for lines in (normalized, normalized.T):
         for lag in range(1, min(MAX_LAG, len(lines) - 1) + 1):
             product = lines[:-lag] * lines[lag:]
             product = product[np.isfinite(product)]

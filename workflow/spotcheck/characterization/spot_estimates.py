@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 from scipy.stats import chi2
 
 from spotcheck.characterization import noise_curve
@@ -186,11 +187,17 @@ def _format_count(number: int, noun: str) -> str:
 
 
 def measure_rim(image: np.ndarray) -> float:
-    """Return the median reading [DN] of the rim of an image [rows, columns]; NaN pixels do not count."""
+    """Return the median reading [DN] of the rim of an image [rows, columns]; NaN pixels do not count.
+
+    If all of the rim is NaN, it is that of the area that is not; NaN only if all pixels are.
+    """
     rim_rows, rim_columns = (max(1, round(RIM * side)) for side in image.shape)
     is_rim = np.ones(image.shape, bool)
     is_rim[rim_rows:-rim_rows, rim_columns:-rim_columns] = False
-    return float(np.nanmedian(image[is_rim]))
+    is_known = np.isfinite(image)
+    if not (is_rim & is_known).any():
+        is_rim = ~binary_erosion(is_known, iterations=max(rim_rows, rim_columns))
+    return float(np.median(image[is_rim & is_known])) if is_known.any() else np.nan
 
 
 def find_saturation(image: np.ndarray, black_dn: float) -> float:

@@ -16,6 +16,7 @@ import xarray as xr
 from spotcheck.crops.full_scale import FullScale, ReadingExtremes, find_full_scale, measure_extremes
 from spotcheck.dataset import file_cache, frames
 from spotcheck.dataset.folder import Dataset, check_files, get_column_unit
+from spotcheck.dataset.impossible_readings import describe_impossible_readings
 from spotcheck.dataset.plausibility import list_unusual_values
 from spotcheck.errors import InputError
 from spotcheck.io import progress, store
@@ -63,7 +64,7 @@ def ingest_frames(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] 
         If `check_dataset` fails, or if a file changes while it is read: its digest would not belong to the pixels.
     """
     frame_format = check_dataset(dataset)
-    statistics, digests = _decode_frames(dataset, before)
+    statistics, digests, reading_remarks = _decode_frames(dataset, before)
     extremes, means, zeros, copy_of = zip(*statistics, strict=True)
     full_scale = find_full_scale(extremes, dataset.instrument, frame_format.bits)
     at_full_scale = [extreme.at_highest if extreme.highest == full_scale.reading else 0 for extreme in extremes]
@@ -96,13 +97,14 @@ def ingest_frames(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] 
     table = xr.Dataset(columns | shared, coordinates, {"title": dataset.title, "dataset": dataset.name})
     table["full_scale"].attrs["source"] = full_scale.source
     copy_remarks = _describe_copies(dataset, copy_of)
-    remarks = [*frame_format.remarks, *list_unusual_values(dataset), *full_scale.remarks, *copy_remarks]
+    remarks = [*frame_format.remarks, *list_unusual_values(dataset), *full_scale.remarks, *reading_remarks]
+    remarks += copy_remarks
     return store.add_remarks(table, remarks)
 
 
 def _decode_frames(
     dataset: Dataset, before: Mapping[str, file_cache.FileRecord]
-) -> tuple[list[tuple[ReadingExtremes, float, int, int]], dict[str, str]]:
+) -> tuple[list[tuple[ReadingExtremes, float, int, int]], dict[str, str], list[str]]:
     """Decode all frames and compute the digests of their files.
 
     Parameters
@@ -116,9 +118,11 @@ def _decode_frames(
     -------
     statistics : list of tuple
         For each frame: extreme readings, mean [DN], number of pixels that read 0, and row of the first frame with the
-        same pixels (−1: none). Bad pixels are left out.
+        same pixels (−1: none). Bad pixels and impossible readings are left out.
     digests : dict
         SHA-256 of each file by its path in the folder (`Frame.path`).
+    remarks : list of str
+        Sentences on impossible readings, of frames of every kind.
 
     Raises
     ------
@@ -126,11 +130,14 @@ def _decode_frames(
         If a file changes while it is read.
     """
     statistics, records, first_rows = [], dict[str, file_cache.FileRecord](), dict[bytes, int]()
+    impossible_counts = []
     for row, frame in enumerate(progress.track(dataset.frames, "reading frames")):
         if frame.path not in records:
             full_path = dataset.folder / frame.path
             records[frame.path] = file_cache.record_file(full_path, before.get(str(full_path)))
-        pixels = frames.select_good_readings(frames.read_masked_image(dataset, frame))
+        image, impossible = frames.read_checked_image(dataset, frame)
+        impossible_counts.append((frame.label, impossible.counts))
+        pixels = frames.select_good_readings(image)
         extremes = measure_extremes(pixels)
         # ASSUME: two exposures that agree in every pixel are copies, as noise makes them differ. Frames with the same
         # reading in all pixels, such as black ones, do not count as copies.
@@ -142,7 +149,8 @@ def _decode_frames(
     for path, record in records.items():
         if file_cache.record_file(dataset.folder / path, record).sha256 != record.sha256:
             raise InputError(f"{path}: has changed while it was read; run again when nothing writes to it")
-    return statistics, {path: record.sha256 for path, record in records.items()}
+    remarks = describe_impossible_readings(impossible_counts, MAX_NAMED)
+    return statistics, {path: record.sha256 for path, record in records.items()}, remarks
 
 
 def _column(values: Sequence[Any], dtype: Any, units: str, long_name: str) -> tuple:

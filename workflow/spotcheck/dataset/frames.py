@@ -1,7 +1,8 @@
-"""Reading of frames, the mask of bad pixels, and the reduction of frames to block, row and column means.
+"""Reading of frames, masks of their pixels, and the reduction of frames to block, row and column means.
 
 A frame is one row of the manifest: a file, or a page of a file that holds a stack. Bad pixels, which instrument.yaml
-names, are NaN in masked images. On a colour sensor a frame is one colour plane: the pixels behind one filter.
+names, and impossible readings are NaN in masked images. On a colour sensor a frame is one colour plane: the pixels
+behind one filter.
 """
 
 from functools import lru_cache
@@ -13,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.impossible_readings import ImpossibleReadings, find_impossible_readings
 from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
@@ -267,12 +269,24 @@ def read_image(dataset: Dataset, frame: Frame) -> np.ndarray:
 
 
 def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
-    """Return the pixels of a frame as `read_image` does; if some are bad, as float32 with NaN in their place."""
+    """Return the pixels of a frame as `read_image` does; if some are masked, as float32 with NaN in their place.
+
+    Bad pixels and impossible readings are masked.
+    """
+    return read_checked_image(dataset, frame)[0]
+
+
+def read_checked_image(dataset: Dataset, frame: Frame) -> tuple[np.ndarray, ImpossibleReadings]:
+    """Return the pixels of a frame as `read_masked_image` does, and its impossible readings."""
     pixels = read_image(dataset, frame)
     rows, columns = pixels.shape
     instrument = dataset.instrument
     is_bad = build_bad_pixel_mask(instrument.bad_pixels, (rows, columns), get_colour(instrument))
-    return pixels if is_bad is None else np.where(is_bad, np.float32(np.nan), pixels.astype(np.float32))
+    impossible = find_impossible_readings(pixels, is_bad)
+    is_masked = impossible.mask if is_bad is None else impossible.mask | is_bad
+    if is_masked.any():
+        pixels = np.where(is_masked, np.float32(np.nan), pixels.astype(np.float32))
+    return pixels, impossible
 
 
 def select_good_readings(pixels: np.ndarray) -> np.ndarray:

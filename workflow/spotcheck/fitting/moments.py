@@ -114,9 +114,10 @@ class _Area(NamedTuple):
 def second_moments(image: np.ndarray) -> Moments:
     """Return the second-moment widths of the spot on an image [row, column] in DN, with standard errors.
 
-    NaN pixels take the value of the nearest pixel, or of the background beyond `FILL_DISTANCE`. The errors are of first
-    order in the noise: if `is_measured` is False the width is meaningless. Noise that is correlated between pixels, as
-    in compressed images, is underestimated.
+    NaN pixels take the value of the nearest pixel, or of the background beyond `FILL_DISTANCE`. If no pixel around the
+    area of integration was measured, the background and all widths are unknown. The errors are of first order in the
+    noise: if `is_measured` is False the width is meaningless. Noise that is correlated between pixels, as in compressed
+    images, is underestimated.
     """
     pixels, is_unmeasured = _fill_gaps(np.asarray(image, float))
     start = _estimate_start(pixels)
@@ -125,8 +126,8 @@ def second_moments(image: np.ndarray) -> Moments:
     ellipse, change = start, np.inf
     for iteration in range(MAX_ITERATIONS):
         area = _place_area(ellipse, pixels.shape)
-        background, _ = _estimate_background(pixels, ellipse, area)
-        update = _compute_moments(pixels, area, background)
+        background, _ = _estimate_background(pixels, is_unmeasured, ellipse, area)
+        update = _compute_moments(np.where(is_unmeasured, background, pixels), area, background)
         if update is None:
             return replace(NO_MOMENTS, x=start.x, y=start.y)
         step = 1.0 if iteration < FULL_STEPS else 0.5
@@ -225,12 +226,20 @@ def _find_background_pixels(ellipse: _Ellipse, area: _Area, shape: tuple[int, ..
     return rows, columns
 
 
-def _estimate_background(pixels: np.ndarray, ellipse: _Ellipse, area: _Area) -> tuple[float, float]:
-    """Return the background of an image `pixels` [rows, columns] around the area and its standard error, both in DN.
+def _estimate_background(
+    pixels: np.ndarray, is_unmeasured: np.ndarray, ellipse: _Ellipse, area: _Area
+) -> tuple[float, float]:
+    """Return the background around the area and its standard error, both in DN; NaN if no pixel there was measured.
+
+    `pixels` is an image [rows, columns] in DN, and `is_unmeasured` marks its masked pixels.
 
     The background is the median of the mean readings of all sectors; a second spot in a few of them does not change it.
     """
     rows, columns = _find_background_pixels(ellipse, area, pixels.shape)
+    is_known = ~is_unmeasured[rows, columns]
+    rows, columns = rows[is_known], columns[is_known]
+    if not rows.size:
+        return np.nan, np.nan
     # Direction from the spot, as a fraction of a full turn.
     turns = np.arctan2(rows - ellipse.y, columns - ellipse.x) / (2 * np.pi) % 1.0
     sector = np.minimum((turns * SECTORS).astype(int), SECTORS - 1)
@@ -270,7 +279,8 @@ def _describe_spot(pixels: np.ndarray, is_unmeasured: np.ndarray, ellipse: _Elli
     """
     area = _place_area(ellipse, pixels.shape)
     major_variance, minor_variance, angle = _find_principal_axes(ellipse.covariance)
-    background, background_stderr = _estimate_background(pixels, ellipse, area)
+    background, background_stderr = _estimate_background(pixels, is_unmeasured, ellipse, area)
+    pixels = np.where(is_unmeasured, background, pixels)
     light = np.where(area.mask, area.crop(pixels) - background, 0.0).sum()
     y = (np.arange(area.mask.shape[0]) + area.top - ellipse.y)[:, None]
     x = (np.arange(area.mask.shape[1]) + area.left - ellipse.x)[None, :]

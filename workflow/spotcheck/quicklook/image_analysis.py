@@ -6,6 +6,7 @@ camera (`Camera.step_dn`); the fits are then converted to DN.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -82,6 +83,7 @@ class ImageResult:
     residual_rms: float  # rms residual within the 1/e² contour, as a fraction of the fitted peak; NaN without a fit
     is_noise_known: bool  # whether the fit uses the noise model of the camera
     outlier_text: str  # sentence about outlying pixels, which are left out; "" if there are none
+    impossible_counts: Mapping[str, int]  # number of pixels that were not measured, by the reason as a sentence
     picture: SpotPicture | None  # data for a picture; None if there is no spot
 
     @property
@@ -180,7 +182,8 @@ def analyse_image(image: Image, camera: Camera, z_m: float | None = None) -> Ima
     clipping = Clipping(int(np.count_nonzero(readings >= level)), level, highest)
     return ImageResult(
         name=image.name, shape=pixels.shape, z_m=z_m, moments=moments, fit=fit, clipping=clipping,
-        residual_rms=residual_rms, is_noise_known=camera.gain is not None, outlier_text=outlier_text, picture=picture,
+        residual_rms=residual_rms, is_noise_known=camera.gain is not None, outlier_text=outlier_text,
+        impossible_counts=image.impossible_readings.counts, picture=picture,
     )  # fmt: skip
 
 

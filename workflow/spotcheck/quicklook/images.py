@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from spotcheck.dataset.impossible_readings import ImpossibleReadings, find_impossible_readings
 from spotcheck.dataset.metadata.entry import MetadataEntry, resolve_entries
 from spotcheck.dataset.metadata.file_names import natural_sort_key
 from spotcheck.dataset.metadata.log_tables import TableReader
@@ -21,6 +23,10 @@ from spotcheck.io.formats.pixel_checks import check_byte_order
 Z, WAVELENGTH = "z_m", "laser.wavelength_m"
 # Most unreadable pages of a file that are reported one by one.
 MOST_ERRORS = 5
+
+# Most bits of a reading of a camera.
+CAMERA_BITS = 16
+NO_IMPOSSIBLE_READINGS = ImpossibleReadings(np.zeros((0, 0), bool), {})
 
 ImageInput = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
 
@@ -38,10 +44,30 @@ class Image:
     colour: Colour = MONOCHROME  # channel to read from a colour image
 
     def read(self) -> np.ndarray:
-        """Return the readings [rows, columns] in DN as a new float64 array, NaN where masked or infinite.
+        """Return the readings [rows, columns] in DN as a new float64 array, NaN where not measured.
 
-        Raises `InputError` if no reading is finite.
+        Masked, infinite and impossible readings were not measured. Raises `InputError` if no reading is finite.
         """
+        pixels, is_finite = self._read_finite()
+        if not is_finite.any():
+            raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
+        if self.impossible_readings.counts:
+            is_finite &= ~self.impossible_readings.mask
+        return np.where(is_finite, pixels, np.nan)
+
+    @cached_property
+    def impossible_readings(self) -> ImpossibleReadings:
+        """Impossible readings; none unless pixels are unsigned integers of at most 16 bits, as cameras give them."""
+        pixels, is_finite = self._read_finite()
+        # ASSUME: other numbers are results of a computation, in which any number may be frequent.
+        if self.bits is None or self.bits > CAMERA_BITS:
+            return NO_IMPOSSIBLE_READINGS
+        impossible = find_impossible_readings(np.where(is_finite, pixels, 0).astype(np.uint16), ~is_finite)
+        # An empty mask takes no memory while other images are analysed.
+        return impossible if impossible.counts else NO_IMPOSSIBLE_READINGS
+
+    def _read_finite(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the readings [rows, columns] in DN as float64, and the mask of those that are finite."""
         if isinstance(self.source, Path):
             stored_pixels = files.read_pixels(self.source, self.page, self.name, self.colour, allow_floats=True)
         else:
@@ -49,10 +75,7 @@ class Image:
         # A damaged file may hold signalling NaN, which would warn.
         with np.errstate(invalid="ignore"):
             pixels = np.ma.filled(np.ma.asanyarray(stored_pixels).astype(float), np.nan)
-        is_finite = np.isfinite(pixels)
-        if not is_finite.any():
-            raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
-        return np.where(is_finite, pixels, np.nan)
+        return pixels, np.isfinite(pixels)
 
     def stated_value(self, key: str) -> float | None:
         """Return the number that the file states for a column or key, in its unit; None if it states none."""

@@ -92,7 +92,8 @@ def describe_image(image: ImageResult, pitch_m: float | None) -> Rows:
     if image.fit is None:
         height, width = image.shape
         rows = [("spot", f"none: nothing stands out of the noise on {width} × {height} px")]
-        return [*rows, ("clipped", _count_clipped(image))] if image.clipping.pixels else rows
+        rows += [("clipped", _count_clipped(image))] if image.clipping.pixels else []
+        return [*rows, *(("caution", text) for text in list_cautions(image))]
     moments, highest = image.moments, f"the highest reading is {image.clipping.highest_dn:.5g} DN"
     x, y = _format_value(*image.fit_value("x_centre")), _format_value(*image.fit_value("y_centre"), "px")
     peak, offset = (_format_value(*image.fit_value(name), "DN") for name in ("amplitude", "offset"))
@@ -161,8 +162,9 @@ def list_cautions(image: ImageResult) -> list[str]:
 
 
 def _find_cautions(image: ImageResult) -> list[Caution]:
-    """Return the cautions about fit, D4σ, their difference and outlying pixels of an image; [] if there are none."""
-    cautions, moments, fit = [], image.moments, image.fit
+    """Return the cautions about fit, D4σ, their difference and pixels that are left out; [] if there are none."""
+    moments, fit = image.moments, image.fit
+    cautions = [Caution(f"{reason}; such pixels:", str(count)) for reason, count in image.impossible_counts.items()]
     if fit is not None and not image.has_reliable_fit:
         cautions.append(Caution("the fit is not reliable: the image does not constrain it; status", str(fit.status)))
     if fit is not None and image.is_noise_known and fit.chi2_reduced > SHAPE_CHI2:
@@ -191,7 +193,8 @@ def merge_cautions(images: Sequence[ImageResult]) -> list[str]:
     # Name and value of each image that a sentence concerns.
     concerned_images: dict[str, list[tuple[str, str]]] = {}
     for image in images:
-        cautions = [Caution("nothing stands out of the noise")] if image.fit is None else _find_cautions(image)
+        cautions = [Caution("nothing stands out of the noise")] if image.fit is None else []
+        cautions += _find_cautions(image)
         if image.fit is not None and (clip := _describe_clip(image)):
             cautions.append(Caution(f"clipped; {clip.sentence}:", clip.value))
         for caution in cautions:
