@@ -60,9 +60,10 @@ def test_readings_that_no_exposure_gives_are_masked(where, value, black, reason)
     image = replaced(where, value, black=black)
     impossible = find_impossible_readings(image)
     assert list(impossible.counts) == [reason]
-    assert impossible.mask[where].all()
+    mask = impossible.is_cut if reason == CUT else impossible.mask
+    assert mask[where].all()
     # Pixels beside the fault are masked only if they are connected with it and have its reading.
-    assert (image[impossible.mask] == value).all()
+    assert (image[impossible.mask | impossible.is_cut] == value).all()
 
 
 def test_sound_frames_keep_all_pixels():
@@ -99,6 +100,14 @@ def test_a_dataset_masks_them_in_frames_of_every_kind_and_says_so(tmp_path):
     assert store.remarks_of(table) == [f"{found.spots[3].label}: {7 * 260} {SEPARATED}"]
     # Extremes are those of measured pixels.
     assert table["minimum"].values.min() > 40
+
+
+def test_a_dataset_keeps_what_a_threshold_cut_off(tmp_path):
+    """The verdict recognises a camera's dead zone by it; the remark stands in the results all the same."""
+    images = [np.where(frame(seed) < 75, 0, frame(seed)).astype(np.uint16) for seed in range(2)]
+    found = loaded(tmp_path, images, "crop_px: 120\nsensor: {bit_depth: 12}\n")
+    assert not any(np.isnan(frames.read_masked_image(found, spot).astype(float)).any() for spot in found.spots)
+    assert [CUT in remark for remark in store.remarks_of(ingest_frames(found))] == [True]
 
 
 def test_a_first_look_leaves_them_out_and_says_so(tmp_path):

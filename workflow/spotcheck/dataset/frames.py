@@ -277,7 +277,11 @@ def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
 
 
 def read_checked_image(dataset: Dataset, frame: Frame) -> tuple[np.ndarray, ImpossibleReadings]:
-    """Return the pixels of a frame as `read_masked_image` does, and its impossible readings."""
+    """Return the pixels of a frame as `read_masked_image` does, and its impossible readings.
+
+    Readings that were cut off at a threshold are kept: all frames of a camera with a dead zone have them, and the
+    verdict recognises it by them.
+    """
     pixels = read_image(dataset, frame)
     rows, columns = pixels.shape
     instrument = dataset.instrument

@@ -30,9 +30,9 @@ MIN_EXPECTED_PX = 25
 MIN_EXTENT, BRIGHTEST_PART, MIN_WIDE_CODES = 3, 1e-3, 20
 # Least connected pixels at the lowest code. Fewer are dead pixels, which the masks of bad and outlier pixels treat.
 MIN_CONNECTED_PX = 16
-# Readings were cut at a threshold if the lowest code above the empty ones has at least this number of pixels, and this
-# part of those of the most frequent higher code. The histogram of noise ends in a tail instead.
-MIN_EDGE_PX, MIN_EDGE_PART = 20, 0.5
+# Readings were cut at a threshold if, of this number of pixels or more, the darkest twentieth extends at most so many
+# times as far as the next one. Noise ends in a tail: of 100 normal numbers it extends 3 times as far, of 1000 4 times.
+MIN_EDGE_PX, MAX_TAIL = 100, 2.0
 # Least jump of readings that counts as an edge [steps].
 MIN_JUMP_STEPS = 8
 # A constant row or column was not measured if the lines on both sides jump from it at this number of the same places,
@@ -67,8 +67,8 @@ EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
 
 SEPARATED = "pixels have the lowest reading, far below all others; they were not measured and are left out"
 CUT = (
-    "pixels have the lowest reading, and none reads a little more: a program has cut off faint light, which is left"
-    " out, so that widths are uncertain; save frames without a threshold"
+    "pixels have the lowest reading, and none reads a little more: camera or program cut off faint light, so that"
+    " widths are uncertain; save frames without a threshold"
 )
 CONSTANT_LINES = "pixels are in rows or columns of one constant reading; they were not measured and are left out"
 CONSTANT_REGIONS = (
@@ -80,9 +80,13 @@ DRAWN_LINES = (
 
 
 class ImpossibleReadings(NamedTuple):
-    """Pixels of a frame that were not measured."""
+    """Pixels of a frame that were not measured.
 
-    mask: np.ndarray  # True where a pixel was not measured, [row, column]
+    A threshold tells that the light was below it, and may belong to the camera; other masked pixels tell nothing.
+    """
+
+    mask: np.ndarray  # True where a pixel was not measured, apart from the following ones, [row, column]
+    is_cut: np.ndarray  # True where faint light was cut off at a threshold, [row, column]
     counts: Mapping[str, int]  # number of pixels by reason: one of the sentences of this module
 
 
@@ -111,7 +115,7 @@ def find_impossible_readings(pixels: np.ndarray, is_bad: np.ndarray | None = Non
     Returns
     -------
     ImpossibleReadings
-        Its mask is False for bad pixels. A pixel counts for the first reason that applies.
+        Its masks are False for bad pixels. A pixel counts for the first reason that applies.
 
     Examples
     --------
@@ -123,9 +127,9 @@ def find_impossible_readings(pixels: np.ndarray, is_bad: np.ndarray | None = Non
     ([320], [10, 11, 12, 13])
     """
     is_good = np.ones(pixels.shape, bool) if is_bad is None else ~is_bad
-    mask, counts = np.zeros(pixels.shape, bool), dict[str, int]()
+    mask, is_cut, counts = np.zeros(pixels.shape, bool), np.zeros(pixels.shape, bool), dict[str, int]()
     if min(pixels.shape) < MIN_REGION_SIDE or not is_good.any():
-        return ImpossibleReadings(mask, counts)
+        return ImpossibleReadings(mask, is_cut, counts)
     reason, is_lowest = _find_separated_code(pixels, is_good)
     is_in_line = _find_constant_rows(pixels, is_good) | _find_constant_rows(pixels.T, is_good.T).T
     for sentence, is_impossible in (
@@ -134,14 +138,17 @@ def find_impossible_readings(pixels: np.ndarray, is_bad: np.ndarray | None = Non
         (CONSTANT_REGIONS, _find_constant_regions(pixels, is_good)),
         (DRAWN_LINES, _find_drawn_lines(pixels, is_good)),
     ):
-        is_new = is_impossible & is_good & ~mask
+        is_new = is_impossible & is_good & ~mask & ~is_cut
         if is_new.any():
             is_new &= ~_find_defects(is_impossible, can_cross=sentence != DRAWN_LINES)
         if is_new.any():
-            mask |= is_new
+            place = is_cut if sentence == CUT else mask
+            place |= is_new
             counts[sentence] = int(np.count_nonzero(is_new))
     # A frame must keep pixels: tests that leave none do not apply to it.
-    return ImpossibleReadings(mask, counts) if (is_good & ~mask).any() else ImpossibleReadings(mask & False, {})
+    if not (is_good & ~mask & ~is_cut).any():
+        return ImpossibleReadings(mask & False, is_cut & False, {})
+    return ImpossibleReadings(mask, is_cut, counts)
 
 
 def describe_impossible_readings(frames: Sequence[tuple[str, Mapping[str, int]]], most_named: int) -> list[str]:
@@ -207,8 +214,18 @@ def _find_separated_code(pixels: np.ndarray, is_good: np.ndarray) -> tuple[str, 
     labels, _ = ndimage.label(is_lowest, EIGHT_NEIGHBOURS)
     if np.bincount(labels.ravel())[1:].max() < MIN_CONNECTED_PX:
         return none
-    is_cut = counts[gap] >= max(MIN_EDGE_PX, MIN_EDGE_PART * counts[gap + 1 :].max(initial=0))
-    return (CUT if is_cut else SEPARATED), is_lowest
+    return (CUT if _ends_in_edge(counts[gap:]) else SEPARATED), is_lowest
+
+
+def _ends_in_edge(counts: np.ndarray) -> bool:
+    """Return whether a histogram `counts` [code] begins with an edge, as at a threshold, and not with a tail of noise.
+
+    Its first code is the lowest reading.
+    """
+    share = np.cumsum(counts) / counts.sum()
+    first, second = np.searchsorted(share, (0.05, 0.1)).tolist()
+    # Codes are whole numbers: half of one is added to both extents.
+    return counts.sum() >= MIN_EDGE_PX and first + 0.5 <= MAX_TAIL * (second - first + 0.5)
 
 
 def _find_constant_rows(pixels: np.ndarray, is_good: np.ndarray) -> np.ndarray:

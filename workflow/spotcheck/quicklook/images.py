@@ -26,7 +26,7 @@ MOST_ERRORS = 5
 
 # Most bits of a reading of a camera.
 CAMERA_BITS = 16
-NO_IMPOSSIBLE_READINGS = ImpossibleReadings(np.zeros((0, 0), bool), {})
+NO_IMPOSSIBLE_READINGS = ImpossibleReadings(np.zeros((0, 0), bool), np.zeros((0, 0), bool), {})
 
 ImageInput = str | Path | np.ndarray | Iterable[str | Path | np.ndarray]
 
@@ -52,7 +52,7 @@ class Image:
         if not is_finite.any():
             raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
         if self.impossible_readings.counts:
-            is_finite &= ~self.impossible_readings.mask
+            is_finite &= ~(self.impossible_readings.mask | self.impossible_readings.is_cut)
         return np.where(is_finite, pixels, np.nan)
 
     @cached_property
