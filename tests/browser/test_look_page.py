@@ -1,7 +1,10 @@
 """The page of a first look in a browser: of one image and of several, on a wide and a narrow window."""
 
+import io
+
 import numpy as np
 import pytest
+from PIL import Image
 
 import spotcheck
 from tests.browser.opening import WINDOW, from_disk, look
@@ -28,3 +31,14 @@ def test_it_fits_and_can_be_read(chromium, page, window, scheme):
             assert look(opened.page, function) == "", function
         assert look(opened.page, "faint", 4.5) == ""
         assert not opened.outside and not opened.errors
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pictures_have_the_ground_of_the_page(chromium, page, scheme):
+    """The edge of each picture, where nothing is drawn, is as light as the page to 10 of 255."""
+    with from_disk(chromium, page, color_scheme=scheme) as opened:
+        opened.page.evaluate("looks.unfold", True)
+        ground = {"light": 255, "dark": 24}[scheme]
+        for picture in opened.page.locator("figure img").all():
+            pixels = np.asarray(Image.open(io.BytesIO(picture.screenshot())).convert("L"))
+            assert abs(float(np.median(pixels[4:8])) - ground) < 10

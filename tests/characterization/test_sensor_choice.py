@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from spotcheck.characterization.dark_frames import DarkLevels
+from spotcheck.characterization.dark_frames import DarkLevels, select_dark_levels
 from spotcheck.characterization.emva_quantities import Quantity
 from spotcheck.characterization.sensor_choice import choose_sensor_values
 from spotcheck.crops.full_scale import FullScale
+from spotcheck.dataset.frames import reduce_frame
 from spotcheck.model.spot import elliptical_gaussian
 from spotcheck.sensor import SensorModel
 from tests.reference.numpy_chain import draw
@@ -133,3 +134,36 @@ def test_black_level_goes_with_the_dark_current(tmp_path):
     for k, (measured, remark, black) in enumerate(cases):
         ds = choose_sensor_values(loaded(tmp_path / f"{k}", FRAME, text), END, [], DarkLevels(means, remark), measured)
         assert float(ds["black_level_dn"]) == black
+
+
+def spot_frame(rng, black_dn, ambient_dn=0.0):
+    """A reduced frame of 240 × 320 px with a Gaussian spot on a pedestal, gain 0.5 DN/e- and 4 e- of read noise."""
+    y, x = np.mgrid[:240, :320]
+    light = ambient_dn + 500 * np.exp(-((x - 170) ** 2 + (y - 110) ** 2) / (2 * 9.0**2))
+    electrons = rng.poisson(light / 0.5) + rng.normal(0, 4.0, light.shape)
+    return reduce_frame(np.clip(np.rint(black_dn + 0.5 * electrons), 0, 4095).astype(np.uint16))
+
+
+@pytest.mark.parametrize(("black_dn", "count"), [(64.0, 1), (240.0, 5)])
+def test_dark_pixels_give_the_black_level_without_a_sheet_and_darks(tmp_path, black_dn, count):
+    """Within 0.2 DN, ten standard errors of the level of a frame; a sheet and darks, even lit ones, go before it."""
+    rng = np.random.default_rng(1)
+    spots = [spot_frame(rng, black_dn) for _ in range(count)]
+    darks = select_dark_levels([], spots, 4095.0)
+    ds = choose_sensor_values(loaded(tmp_path / "a", FRAME, "crop_px: 24"), END, [], darks)
+    assert float(ds["black_level_dn"]) == pytest.approx(black_dn, abs=0.2)
+    assert 0 < float(ds["black_level_dn_stderr"]) < 0.3
+    assert ds["black_level_dn"].attrs["source"].startswith("dark pixels of the spot frames")
+    stated = loaded(tmp_path / "b", FRAME, "crop_px: 24\nsensor: {black_level_dn: 5}")
+    assert float(choose_sensor_values(stated, END, [], darks)["black_level_dn"]) == 5
+    lit_darks = select_dark_levels([spot_frame(rng, 300.0)], spots, 4095.0)
+    unknown = choose_sensor_values(loaded(tmp_path / "c", FRAME, "crop_px: 24"), END, [], lit_darks)["black_level_dn"]
+    assert float(unknown) == 0 and unknown.attrs["source"].startswith("default; 1 of 1 dark frames hold light")
+
+
+def test_stray_light_of_some_frames_is_in_the_error_of_the_black_level():
+    """The darkest frame gives the level; the scatter of the frames, 20 DN here, is in its error."""
+    rng = np.random.default_rng(2)
+    frames = [spot_frame(rng, 64.0, ambient) for ambient in (0.0, 20.0, 40.0)]
+    level, error = select_dark_levels([], frames, 4095.0).dark_pixels
+    assert level == pytest.approx(64, abs=0.2) and error == pytest.approx(20, abs=1)

@@ -5,8 +5,9 @@ import pytest
 import xarray as xr
 
 from spotcheck.dataset.instrument import Instrument, Laser, Sensor
-from spotcheck.fitting import caustic
 from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_widths
+from spotcheck.fitting.scan_caustic import compute_caustic, select_beam_rows
+from spotcheck.fitting.scan_widths import WIDTH_PARAMETERS
 from spotcheck.io import store
 
 WAVELENGTH, PITCH = 1.064e-6, 4.4e-6
@@ -63,7 +64,7 @@ def scan(spots: SpotWidths) -> xr.Dataset:
     ds["fit"] = ("fit", ["likelihood"], {"units": "1", "long_name": "fit"})
     dims, shape = ("angle", "exposure", "repeat", "z_m", "centring", "fit"), (1, 1, 1, len(Z), 1, 1)
     mean = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
-    names = [f"{name}{suffix}" for suffix in ("", "_stderr") for name in caustic.WIDTH_PARAMETERS]
+    names = [f"{name}{suffix}" for suffix in ("", "_stderr") for name in WIDTH_PARAMETERS]
     for name, values in zip([*names, "sigma_mean", "sigma_mean_stderr"], [*vars(spots).values(), *mean], strict=True):
         ds[name] = (dims, values.reshape(shape), {"units": "pixel", "long_name": name})
     ds["status"] = (dims, np.zeros(shape, "i4"), store.status_attributes())
@@ -71,6 +72,14 @@ def scan(spots: SpotWidths) -> xr.Dataset:
 
 
 INSTRUMENT = Instrument(conditions=("z_m",), laser=Laser(wavelength_m=WAVELENGTH), sensor=Sensor(pixel_pitch_m=PITCH))
+
+
+def beam_of(spots: SpotWidths) -> xr.Dataset:
+    """Return the caustic by the fit, or the reason why there is none."""
+    found = compute_caustic(scan(spots), INSTRUMENT)
+    return found if "skipped" in found.attrs else found.sel(estimator="fit")
+
+
 # Waists [m], their places [m], M² and direction [deg]: the longer axis changes once, twice, or never.
 BEAMS = {
     "waists apart": ((70e-6, 70e-6), (0.06, 0.14), (1.0, 1.0), 33.0),
@@ -84,14 +93,14 @@ BEAMS = {
 def test_each_axis_gives_its_beam_back(beam):
     """Exact widths: waist, place and M² of both axes, and their direction."""
     waists, positions, m2s, degrees = beam
-    found = caustic.compute_caustic(scan(fitted(matrices(Z, *beam), 1e-6)), INSTRUMENT)
+    found = beam_of(fitted(matrices(Z, *beam), 1e-6))
     # The axis nearer to +x comes first.
     order = [0, 1] if abs(degrees) < 45 else [1, 0]
     assert float(found["azimuth"]) == pytest.approx((degrees + 45) % 90 - 45, abs=1e-4)
     for name, want in (("waist_radius", waists), ("waist_position", positions), ("m2", m2s)):
         np.testing.assert_allclose(found[name].values[:2], np.array(want)[order], rtol=1e-4)
-    assert found.attrs["beam"] == "simple astigmatic" and np.isnan(found["m2"].values[2])
-    assert next(iter(caustic.select_beam_rows(found))) == f"axis at {float(found['azimuth']):.1f}°"
+    assert found["beam"] == "simple astigmatic" and np.isnan(found["m2"].values[2])
+    assert next(iter(select_beam_rows(found))) == f"axis at {float(found['azimuth']):.1f}°"
 
 
 def test_errors_are_those_of_repeated_scans():
@@ -104,7 +113,7 @@ def test_errors_are_those_of_repeated_scans():
     truth = matrices(Z, *beam)
     pulls = []
     for _ in range(100):
-        found = caustic.compute_caustic(scan(fitted(truth, 0.005, rng)), INSTRUMENT)
+        found = beam_of(fitted(truth, 0.005, rng))
         m2 = (found["m2"].values[:2] - np.array(beam[2])[[1, 0]]) / found["m2_stderr"].values[:2]
         pulls.append([*m2, (float(found["azimuth"]) + 19) / float(found["azimuth_stderr"])])
     mean, rms = np.mean(pulls, axis=0), np.sqrt(np.mean(np.square(pulls), axis=0))
@@ -118,10 +127,10 @@ def test_a_round_beam_has_an_m2_of_its_mean():
     rng = np.random.default_rng(5)
     for waists, rows in (((80e-6, 80e-6), ["mean of both axes"]), ((80e-6, 81e-6), ["axis at 2", "axis at 1"])):
         truth = matrices(Z, waists, (0.1, 0.1), (1.2, 1.2), 25.0)
-        found = caustic.compute_caustic(scan(fitted(truth, 0.002, rng)), INSTRUMENT)
+        found = beam_of(fitted(truth, 0.002, rng))
         mean = found.sel(axis="mean")
-        own = list(caustic.select_beam_rows(found))
-        assert found.attrs["beam"] == "stigmatic" and len(own) == len(rows)
+        own = list(select_beam_rows(found))
+        assert found["beam"] == "stigmatic" and len(own) == len(rows)
         assert all(words.startswith(want) for words, want in zip(own, rows, strict=True))
         assert abs(float(mean["m2"]) - 1.2) < 4.5 * float(mean["m2_stderr"]) + 1e-3
 
@@ -144,7 +153,7 @@ def test_axes_that_turn_have_no_m2():
     beam = BEAMS["waists apart"][:3]
     for turn, refused in ((60.0, True), (8.0, False)):
         twisted = matrices(Z, *beam, np.linspace(0, turn, len(Z)))
-        found = caustic.compute_caustic(scan(fitted(twisted, 1e-3)), INSTRUMENT)
+        found = beam_of(fitted(twisted, 1e-3))
         assert ("skipped" in found.attrs) == refused
         if refused:
             assert "turn along z" in found.attrs["skipped"] and "ISO 11146-2" in found.attrs["skipped"]

@@ -8,11 +8,12 @@ import xarray as xr
 from scipy import stats
 
 from spotcheck.dataset.instrument import Instrument, Laser, Sensor
-from spotcheck.fitting import caustic
+from spotcheck.fitting import caustic, hyperbola, scan_caustic
+from spotcheck.fitting.scan_widths import WIDTH_PARAMETERS
 from spotcheck.io import store
 
 WAVELENGTH, PITCH = 632.8e-9, 3.75e-6
-NAMES = list(caustic.QUANTITIES)
+NAMES = list(hyperbola.QUANTITIES)
 
 
 def tem00(z, waist, position, m2=1.0):
@@ -26,8 +27,8 @@ def tem00(z, waist, position, m2=1.0):
 def test_exact_widths_give_the_beam_back(m2):
     z = np.linspace(-0.4, 0.6, 11)
     radius, truth = tem00(z, 120e-6, 0.07, m2)
-    fit = caustic.fit_hyperbola(z, radius, np.full_like(z, 1e-8))
-    values, _ = caustic.derive_beam_parameters(fit, WAVELENGTH)
+    fit = hyperbola.fit_hyperbola(z, radius, np.full_like(z, 1e-8))
+    values, _ = hyperbola.derive_beam_parameters(fit, WAVELENGTH)
     np.testing.assert_allclose(values, truth, rtol=1e-7)
     assert fit.scatter == 0.0
     np.testing.assert_allclose(fit.radius(z)[0], radius, rtol=1e-9)
@@ -38,7 +39,7 @@ def test_m2_agrees_with_the_diameter_form_of_the_standard():
     z = np.linspace(0.1, 0.9, 9)
     radius, _ = tem00(z, 90e-6, 0.4, 1.3)
     c, b, a = np.polyfit(z, (2 * radius) ** 2, 2)
-    values, _ = caustic.derive_beam_parameters(caustic.fit_hyperbola(z, radius, np.full_like(z, 1e-8)), WAVELENGTH)
+    values, _ = hyperbola.derive_beam_parameters(hyperbola.fit_hyperbola(z, radius, np.full_like(z, 1e-8)), WAVELENGTH)
     assert values[4] == pytest.approx(np.pi / (8 * WAVELENGTH) * np.sqrt(4 * a * c - b * b), rel=1e-7)
     assert values[0] == pytest.approx(np.sqrt((4 * a * c - b * b) / c) / 4, rel=1e-7)
 
@@ -48,7 +49,7 @@ def test_slopes_of_the_derived_quantities_match_complex_steps():
     coefficients, origin = np.array([2.0e-8, -3.0e-9, 4.0e-6]), 0.3
     factor = np.random.default_rng(3).normal(size=(3, 3)) * coefficients[:, None] * 0.01
     covariance = factor @ factor.T
-    fit = caustic.Hyperbola(origin, coefficients, covariance, 0.0, 1.0, 6)
+    fit = hyperbola.Hyperbola(origin, coefficients, covariance, 0.0, 1.0, 6)
 
     def derived(p):
         a, b, c = p
@@ -60,7 +61,7 @@ def test_slopes_of_the_derived_quantities_match_complex_steps():
 
     step = 1e-30
     slopes = np.array([np.imag(derived(coefficients + 1j * step * np.eye(3)[k])) / step for k in range(3)]).T
-    _, own = caustic.derive_beam_parameters(fit, WAVELENGTH)
+    _, own = hyperbola.derive_beam_parameters(fit, WAVELENGTH)
     np.testing.assert_allclose(own, slopes @ covariance @ slopes.T, rtol=1e-10)
 
 
@@ -76,14 +77,14 @@ def test_noisy_widths_give_the_beam_back_within_its_intervals(stderr, scatter):
     pulls = []
     for _ in range(300):
         drawn = radius * (1 + scatter * rng.normal(size=z.size)) + stderr * rng.normal(size=z.size)
-        fit = caustic.fit_hyperbola(z, drawn, np.full_like(z, stderr))
-        values, covariance = caustic.derive_beam_parameters(fit, WAVELENGTH)
+        fit = hyperbola.fit_hyperbola(z, drawn, np.full_like(z, stderr))
+        values, covariance = hyperbola.derive_beam_parameters(fit, WAVELENGTH)
         error = np.sqrt(np.diag(covariance))
-        inside += np.abs(values - truth) < caustic.compute_interval_half_width(error, fit.degrees)
+        inside += np.abs(values - truth) < hyperbola.compute_interval_half_width(error, fit.degrees)
         pulls.append((values - truth) / error)
     slack = 0.03
-    low = stats.binom.ppf(5e-4, 300, caustic.LEVEL - slack)
-    high = stats.binom.ppf(1 - 5e-4, 300, caustic.LEVEL + slack + (0.05 if scatter == 0 else 0.0))
+    low = stats.binom.ppf(5e-4, 300, hyperbola.LEVEL - slack)
+    high = stats.binom.ppf(1 - 5e-4, 300, hyperbola.LEVEL + slack + (0.05 if scatter == 0 else 0.0))
     for name, count in zip(NAMES, inside, strict=True):
         assert low <= count <= high, (name, count, low, high)
     # No bias: the mean pull of 300 has a standard error of 0.06, and 0.25 leaves room for curvature.
@@ -95,7 +96,7 @@ def test_scatter_brings_chi_square_to_one():
     z = np.linspace(-0.3, 0.3, 20)
     radius, _ = tem00(z, 150e-6, 0.0)
     drawn = radius * (1 + 0.03 * rng.normal(size=z.size))
-    fit = caustic.fit_hyperbola(z, drawn, np.full_like(z, 1e-8))
+    fit = hyperbola.fit_hyperbola(z, drawn, np.full_like(z, 1e-8))
     assert fit.chi2_reduced > 100
     # 17 degrees of freedom: the estimate of 3 % scatters by 17 %, four of which are allowed.
     assert fit.scatter == pytest.approx(0.03, rel=0.7)
@@ -106,8 +107,8 @@ def test_scatter_brings_chi_square_to_one():
 
 def test_no_waist_is_nan_not_a_number():
     z = np.linspace(0, 1, 6)
-    fit = caustic.fit_hyperbola(z, np.sqrt(2e-8 - 1e-8 * z**2), np.full(6, 1e-9))
-    values, covariance = caustic.derive_beam_parameters(fit, WAVELENGTH)
+    fit = hyperbola.fit_hyperbola(z, np.sqrt(2e-8 - 1e-8 * z**2), np.full(6, 1e-9))
+    values, covariance = hyperbola.derive_beam_parameters(fit, WAVELENGTH)
     assert np.isnan(values).all() and np.isnan(covariance).all()
 
 
@@ -122,7 +123,7 @@ def scan(z, sigma_px, stderr_px=0.01):
     shape = (1, 1, 1, len(z), 2, 1)
     unknown = {"": np.zeros(len(z)), "_stderr": np.full(len(z), np.inf)}
     known = {"": sigma_px, "_stderr": np.full(len(z), stderr_px)}
-    for name in (*caustic.WIDTH_PARAMETERS, "sigma_mean"):
+    for name in (*WIDTH_PARAMETERS, "sigma_mean"):
         for suffix, values in (unknown if name == "orientation" else known).items():
             full = np.repeat(np.asarray(values, float), 2).reshape(shape)
             ds[f"{name}{suffix}"] = (dims, full, {"units": "pixel", "long_name": name})
@@ -136,15 +137,16 @@ def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
     radius, truth = tem00(z, 120e-6, 0.1)
     sigma = radius / 2 / PITCH
     fits, instrument = scan(z, sigma)
-    for name in (*caustic.WIDTH_PARAMETERS, "sigma_mean"):
+    for name in (*WIDTH_PARAMETERS, "sigma_mean"):
         fits[name][0, 0, 0, 3] = 500.0
     fits["status"][0, 0, 0, 3] = store.flag("at_limit")
-    found = caustic.compute_caustic(fits, instrument)
+    found = scan_caustic.compute_caustic(fits, instrument)
     store.write(found, tmp_path / "caustic.nc", code="0")
-    with store.read(tmp_path / "caustic.nc") as own:
+    with store.read(tmp_path / "caustic.nc") as ds:
+        own = ds.sel(estimator="fit")
         values = [float(own[name].sel(axis="mean")) for name in NAMES]
         np.testing.assert_allclose(values, truth, rtol=1e-6)
-        assert int(own["positions"]) == 8 and own.attrs["beam"] == "stigmatic"
+        assert int(own["positions"]) == 8 and own["beam"] == "stigmatic"
         # A round beam has no axes: those of the sensor, along which it is as wide.
         assert float(own["azimuth"]) == 0.0 and np.isinf(float(own["azimuth_stderr"]))
         np.testing.assert_allclose(own["m2"], truth[4], rtol=1e-6)
@@ -162,12 +164,12 @@ def test_file_keeps_the_contract_and_leaves_flagged_fits_out(tmp_path):
 def test_skipped_with_its_reason(change, reason):
     fits, instrument = scan(np.linspace(0, 1, 6), np.full(6, 10.0))
     given = {"conditions": ("z_m",), "laser": instrument.laser, "sensor": instrument.sensor} | change
-    assert reason in caustic.compute_caustic(fits, Instrument(**given)).attrs["skipped"]
+    assert reason in scan_caustic.compute_caustic(fits, Instrument(**given)).attrs["skipped"]
 
 
 def test_three_positions_are_too_few():
     fits, instrument = scan([0.0, 0.1, 0.2], [10.0, 9.0, 10.0])
-    assert "3 have one" in caustic.compute_caustic(fits, instrument).attrs["skipped"]
+    assert "3 have one" in scan_caustic.compute_caustic(fits, instrument).attrs["skipped"]
 
 
 def test_a_beam_of_known_m2():

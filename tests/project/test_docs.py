@@ -21,7 +21,7 @@ from spotcheck.dataset import folder as dataset
 from spotcheck.dataset.frames import read_image
 from spotcheck.dataset.manifest import DATE, KEEP, REQUIRED_COLUMNS
 from spotcheck.errors import InputError
-from spotcheck.fitting.caustic import CONDITION
+from spotcheck.fitting.scan_caustic import CONDITION
 from spotcheck.io.schema import read_schema
 from spotcheck.metrics.crop_metrics import Metric
 from spotcheck.model.effects import vocabulary

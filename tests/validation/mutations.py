@@ -58,7 +58,7 @@ FAULTS = (
     Fault("characterization/derived_quantities.py", "root = np.sqrt(noise**2 + 0.25)", "root = np.sqrt(noise**2 + 1.25)"),
     # fitting
     Fault("fitting/fisher.py", "return (z / mean_e - 1) ** 2", "return (z / mean_e + 1) ** 2"),
-    Fault("fitting/caustic.py", "return radius, square_stderr / (2 * radius)", "return radius, square_stderr / radius"),
+    Fault("fitting/hyperbola.py", "return radius, square_stderr / (2 * radius)", "return radius, square_stderr / radius"),
     Fault("fitting/width_law.py", "widths[is_known] - laser_px, 1)", "widths[is_known] + laser_px, 1)"),
     Fault("fitting/beam_axes.py", "widths.major**2 - widths.minor**2) / total", "widths.minor**2 - widths.major**2) / total"),
     # metrics

@@ -1,4 +1,4 @@
-"""Selection of the dark frames of a dataset that contain no light.
+"""Level of the dark frames of a dataset that contain no light, and of the dark pixels of its spot frames.
 
 The level of a frame is its reading where the spot does not reach; the black level is the reading without any light.
 A reduced frame consists of the means of blocks, rows and columns of a whole frame [DN].
@@ -22,6 +22,8 @@ class DarkLevels(NamedTuple):
     levels: Sequence[float] = ()
     remark: str = ""  # sentence on the dark frames with light; "" if there are none
     darkest_dn: float = np.nan  # lowest level of all frames, spots included [DN]; NaN if there are none
+    # Level of the dark pixels of the spot frames with its standard error [DN]; NaN without spots or with dark frames.
+    dark_pixels: tuple[float, float] = (np.nan, np.nan)
 
 
 NO_DARKS = DarkLevels()
@@ -42,20 +44,23 @@ def select_dark_levels(
     full_scale_dn : largest reading of the converter [DN].
     """
     levels_and_means = [(measure_frame_level(frame), float(np.nanmean(frame.row_mean))) for frame in darks]
-    all_levels = [level for level, _ in levels_and_means] + [measure_frame_level(frame) for frame in spots]
+    spot_medians = [_list_medians(frame) for frame in spots]
+    all_levels = [level for level, _ in levels_and_means] + [min(medians) for medians in spot_medians]
     darkest_dn = min(all_levels, default=np.nan)
+    # Light in the dark frames shows that the room was lit, so that the dark pixels of the spots are not black either.
+    dark_pixels = (np.nan, np.nan) if levels_and_means else _estimate_dark_pixel_level(spot_medians)
     limit_dn = darkest_dn + MAX_STRAY_LIGHT * full_scale_dn
     unlit_levels = [level for level, mean in levels_and_means if max(level, mean) <= limit_dn]
     total, lit_count = len(levels_and_means), len(levels_and_means) - len(unlit_levels)
     if not lit_count:
-        return DarkLevels(unlit_levels, "", darkest_dn)
+        return DarkLevels(unlit_levels, "", darkest_dn, dark_pixels)
     brightest_dn = max(mean for _, mean in levels_and_means)
     consequence = "that of the others" if unlit_levels else "not taken from them"
     remark = (
         f"{lit_count} of {total} dark frames hold light (they read up to {brightest_dn:.4g} DN"
         f" on average, where black is {darkest_dn:.4g} DN at most), so the black level is {consequence}"
     )
-    return DarkLevels(unlit_levels, remark, darkest_dn)
+    return DarkLevels(unlit_levels, remark, darkest_dn, dark_pixels)
 
 
 def measure_frame_level(frame: ReducedFrame) -> float:
@@ -63,4 +68,24 @@ def measure_frame_level(frame: ReducedFrame) -> float:
 
     A spot and hot pixels hardly change it. NaN means do not count.
     """
-    return float(min(np.nanmedian(values) for values in frame))
+    return min(_list_medians(frame))
+
+
+def _list_medians(frame: ReducedFrame) -> list[float]:
+    """Return the medians of the block, row and column means of a frame [DN]; NaN means do not count."""
+    return [float(np.nanmedian(values)) for values in frame]
+
+
+def _estimate_dark_pixel_level(medians: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """Return the level of the dark pixels of spot frames and its standard error [DN]; NaN without frames.
+
+    `medians` [frame, kind of mean] are those of `_list_medians`. The level is the lowest one, as light only adds. Its
+    error contains the differences between the kinds of means, which light of the spot raises differently, and the
+    scatter of the frames, which stray light raises differently.
+    """
+    if not medians:
+        return np.nan, np.nan
+    levels = [min(frame_medians) for frame_medians in medians]
+    difference = np.ptp(medians[int(np.argmin(levels))])
+    scatter = np.std(levels, ddof=1) if len(levels) > 1 else 0.0
+    return min(levels), float(np.hypot(difference, scatter))

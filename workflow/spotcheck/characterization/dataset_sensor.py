@@ -7,6 +7,7 @@ blocks, rows and columns of a whole frame [DN].
 
 from collections.abc import Mapping
 
+import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.dark_frames import select_dark_levels
@@ -18,6 +19,10 @@ from spotcheck.crops.ingest import read_full_scale
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 from spotcheck.io import store
+
+# Largest part of the pixels of a spot frame that read 0 where its dark pixels give the black level: the converter's
+# zero cuts the noise of more, whose mean is then above the black level.
+MAX_ZEROS = 0.01
 
 
 def choose_dataset_sensor(
@@ -52,6 +57,10 @@ def choose_dataset_sensor(
         for cell in iterate_cells(crops, grid_dims)
     )
     darks = select_dark_levels(reduced_darks, reduced_spots, float(table["full_scale"]))
+    is_spot = table["kind"].values == "spot"
+    zeros = table["at_zero"].values[is_spot] / float(table["rows"] * table["columns"])
+    if np.any(zeros > MAX_ZEROS):
+        darks = darks._replace(dark_pixels=(np.nan, np.nan))
     # Pairs of frames of the same pixels, along two axes of the grid.
     axes = {"exposures of a site": "exposure", "repeats": "repeat"}
     pairs = {phrase: iterate_pairs(light_crops, axis) for phrase, axis in axes.items()}

@@ -59,6 +59,8 @@ EMVA_NAMES = {
 }
 # Only the data sheet sets these: a full well in the frames is an effect for the analysis to find.
 ONLY_FROM_SHEET = ("full_well_e",)
+# Origin of a black level that neither a data sheet nor dark frames give.
+DARK_PIXELS = "dark pixels of the spot frames, an upper limit because of stray light"
 # Reason why a quantity is unknown if no source gives it.
 NO_SOURCE = "not in instrument.yaml, no flats and darks in pairs, and no frame shows noise that grows with its light"
 # Quantity → source → value, for all of `QUANTITIES` and the sources that give a value.
@@ -107,6 +109,8 @@ def choose_sensor_values(
     known_black_dn = None if np.isnan(black_dn) else black_dn
     spots = estimate_from_spots(crops, pairs or {}, known_black_dn, full_scale.reading, instrument.sensor.response_bend)
     _add_spots(values, spots, has_black_level=known_black_dn is not None, is_top_hat=instrument.model.top_hat)
+    if not values["black_level_dn"] and np.isfinite(darks.dark_pixels[0]):
+        values["black_level_dn"][SPOTS] = SourceValue(*darks.dark_pixels, DARK_PIXELS)
     contradictions += compare_sources(instrument, *(_select_source(values, source) for source in SOURCES))
     gain = _choose_source(values["gain_dn_per_e"]).value
     used_black_dn = _choose_source(values["black_level_dn"], instrument.sensor.black_level_dn).value

@@ -12,7 +12,7 @@ from spotcheck.dataset import folder
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.dataset.plausibility import list_unusual_values
 from spotcheck.fitting.calibration import explain_missing_law
-from spotcheck.fitting.caustic import explain_missing_caustic
+from spotcheck.fitting.scan_caustic import explain_missing_caustic
 from spotcheck.io import configuration
 from spotcheck.model import baseline
 

@@ -6,6 +6,7 @@ crops, one for each of `CENTRINGS`. The status of a crop is a set of flags, stor
 """
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,10 @@ from spotcheck.crops import spotfinding
 from spotcheck.crops.full_scale import measure_extremes
 from spotcheck.crops.ingest import MAX_NAMED
 from spotcheck.crops.outlier_frames import SpotMoments, find_outlier_frames, measure_moments
+from spotcheck.crops.second_spots import describe_second_spots
 from spotcheck.dataset import file_cache, frames
 from spotcheck.dataset.folder import Dataset
+from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
 from spotcheck.io import progress, store
 
@@ -72,7 +75,7 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
         file_cache.verify_unchanged(dataset, table),
     ):
         # In the order of `dataset.spots`, which is that of `dataset.cells`.
-        indices, statuses, moments = [], [], []
+        indices, statuses, moments, centres = [], [], [], []
         for index, frame in progress.track(dataset.cells(), "cropping spots", len(dataset.spots)):
             if (frame.file, frame.page) not in is_copy:
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
@@ -83,12 +86,24 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
             indices.append(index)
             statuses.append(values["status"])
             image, left, top = (values[name][AT_LIGHT] for name in ("image", "left", "top"))
+            centres.append((left + side // 2, top + side // 2))
             moments.append(measure_moments(image, left, top) if is_usable(values["status"][AT_LIGHT]) else None)
         # Outliers are known only when all frames are measured.
         revised_statuses, remarks = _flag_outliers(dataset, np.array(statuses), moments)
+        is_out = (revised_statuses[:, AT_LIGHT] & store.UNUSABLE) != 0
+        used = [None if out else moment for out, moment in zip(is_out, moments, strict=True)]
+        if remark := describe_second_spots(dataset, used, np.array(centres), partial(_measure_at, dataset)):
+            remarks.insert(0, remark)
         for index, status in zip(indices, revised_statuses, strict=True):
             writer.put(index, {"status": status})
         writer.remark(remarks)
+
+
+def _measure_at(dataset: Dataset, frame: Frame, x: float, y: float, side: float) -> SpotMoments | None:
+    """Return the moments of the light of a frame in a square with the centre x, y and the side `side` [px]."""
+    place, side_px = spotfinding.Spot(round(y), round(x), True), round(side)
+    crop = spotfinding.cut_crop(frames.read_masked_image(dataset, frame), place, side_px)
+    return measure_moments(crop, place.column - side_px // 2, place.row - side_px // 2)
 
 
 def _crop_coordinates(dataset: Dataset, shape: tuple[int, int]) -> xr.Dataset:

@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.fitting.fit_results import NAMES, SpotFits
 from spotcheck.fitting.moments import AREA, Moments, second_moments
+from spotcheck.fitting.scan_widths import compute_width_excess
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.model import spot
 from spotcheck.quicklook.camera import Camera, find_clip_level
@@ -39,8 +40,6 @@ GAUSSIAN_CHI2 = 1.1
 LEAST_GROWTH = 0.1
 # Least level of a clip above the offset [DN], which avoids a division by 0.
 LEAST_CLIP_DN = 1e-9
-# A difference of widths is significant above this many standard errors and above this fraction of the width.
-SIGNIFICANT_SIGMAS, SIGNIFICANT_FRACTION = 3.0, 0.02
 
 # Two widths [px] along the long and the short axis, each with its standard error.
 Widths = list[tuple[float, float]]
@@ -124,16 +123,12 @@ class ImageResult:
 
         The widening of D4σ by a clip does not count.
         """
-        (moment_width, moment_stderr), (fit_width, fit_stderr) = (
-            ((major + minor) / 2, np.hypot(major_stderr, minor_stderr) / 2)
+        moment_width, fit_width = (
+            ((major + minor) / 2, float(np.hypot(major_stderr, minor_stderr)) / 2)
             for (major, major_stderr), (minor, minor_stderr) in (self.moment_widths, self.fit_widths)
         )
-        excess = moment_width / self.clip_widening / fit_width - 1
-        # D4σ is too small if its area of integration extends beyond the frame.
-        if excess < 0 and not self.moments.is_whole:
-            return 0.0
-        least = max(SIGNIFICANT_SIGMAS * np.hypot(moment_stderr, fit_stderr) / fit_width, SIGNIFICANT_FRACTION)
-        return float(excess) if abs(excess) > least else 0.0
+        is_whole, widening = self.moments.is_whole, self.clip_widening
+        return compute_width_excess(moment_width, fit_width, is_whole=is_whole, clip_widening=widening)
 
 
 def analyse_image(image: Image, camera: Camera, z_m: float | None = None) -> ImageResult:

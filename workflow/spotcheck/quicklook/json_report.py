@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from spotcheck.fitting.caustic import QUANTITIES
 from spotcheck.fitting.fit_results import PARAMETERS, SpotFits
+from spotcheck.fitting.hyperbola import QUANTITIES
 from spotcheck.fitting.moments import Moments
 from spotcheck.quicklook import text_report
 from spotcheck.quicklook.camera import Camera

@@ -10,11 +10,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_widths
-from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, describe_axis_rotation, fit_caustic
+from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, fit_caustic
+from spotcheck.fitting.scan_caustic import ESTIMATORS, describe_axis_rotation
+from spotcheck.fitting.scan_widths import convert_moments
 from spotcheck.quicklook.image_analysis import ImageResult
 
 # Methods of measuring widths.
-MOMENTS, FIT = "second moments", "Gaussian fit"
+MOMENTS, FIT = ESTIMATORS["moments"], ESTIMATORS["fit"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,22 +46,8 @@ def fit_scan(images: Sequence[ImageResult], pitch_m: float, wavelength_m: float)
     tuple of BeamScan
         One per method, second moments first.
     """
-    methods = ((MOMENTS, _select_moments), (FIT, _select_fit))
+    methods = ((MOMENTS, lambda image: convert_moments(image.moments)), (FIT, _select_fit))
     return tuple(_fit_beam(method, select, images, pitch_m, wavelength_m) for method, select in methods)
-
-
-def _select_moments(image: ImageResult) -> tuple[float, ...] | None:
-    """Return the fields of `SpotWidths` (widths σ [px], direction [deg], their errors) by second moments.
-
-    Returns None if D4σ does not follow the standard: its error is too large, or its area exceeds the frame.
-    """
-    moments = image.moments
-    if not (moments.is_measured and moments.is_whole):
-        return None
-    return (
-        moments.major / 4, moments.minor / 4, moments.azimuth,
-        moments.major_stderr / 4, moments.minor_stderr / 4, moments.azimuth_stderr,
-    )  # fmt: skip
 
 
 def _select_fit(image: ImageResult) -> tuple[float, ...] | None:

@@ -5,6 +5,7 @@ part of a frame around its spot. The verdict (verdict.json) names the effects th
 baseline is the model without added effects.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ import xarray as xr
 from spotcheck.characterization import photon_transfer, sensor_choice
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.errors import InputError
-from spotcheck.fitting import caustic
+from spotcheck.fitting import hyperbola, scan_caustic
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import PER_IMAGE
@@ -169,14 +170,14 @@ def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
 
 
 def _read_caustic(ds: xr.Dataset) -> NamedMeasurements:
-    """Yield the quantities of the beam in caustic.nc along both axes, and those of the mean of both."""
-    for axis in caustic.AXES:
-        beam = ds.sel({"axis": axis})
+    """Yield the quantities of the beam in caustic.nc by each estimator, along both axes and for the mean of both."""
+    for estimator, axis in itertools.product(map(str, ds["estimator"].values), scan_caustic.AXES):
+        beam = ds.sel(estimator=estimator, axis=axis)
         axis_text = "mean of both axes" if axis == "mean" else f"{axis} axis"
-        for name, (units, long_name) in caustic.QUANTITIES.items():
+        for name, (units, long_name) in hyperbola.QUANTITIES.items():
             stderr, degrees = beam[f"{name}_stderr"], float(beam["degrees_of_freedom"])
             number = _measure(beam[name], stderr, units, "fit to the widths, with their scatter", name, degrees)
-            yield QuantityName(BEAM, f"{long_name}, {axis_text}"), number
+            yield QuantityName(BEAM, f"{long_name}, {axis_text}, {scan_caustic.ESTIMATORS[estimator]}"), number
 
 
 def _read_fits(ds: xr.Dataset) -> NamedMeasurements:

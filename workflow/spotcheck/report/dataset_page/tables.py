@@ -19,10 +19,10 @@ from spotcheck.characterization.sensor_choice import QUANTITIES as SENSOR_QUANTI
 from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.dataset.folder import Dataset
 from spotcheck.errors import InputError
-from spotcheck.fitting.caustic import select_beam_rows
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.fit_results import PARAMETERS
 from spotcheck.fitting.precision import summarize_precision
+from spotcheck.fitting.scan_caustic import ESTIMATORS, select_beam_rows
 from spotcheck.io import store
 from spotcheck.io.number_text import number_text, quantity_text
 from spotcheck.metrics.model_comparison import compare_models, summarise_comparison
@@ -233,23 +233,31 @@ def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str,
 
 
 def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup | None:
-    """Return a sentence with waist, divergence and M² of the beam; None without caustic.nc.
+    """Return waist, divergence and M² in a sentence for each estimator, the one to quote first; None without caustic.nc.
 
-    It gives them for each axis of the beam, or for the mean of both axes if the beam is round.
+    A sentence describes both axes, or the mean of both axes of a round beam.
     """
     if caustic is None:
         return None
-    clauses = []
-    for axis_name, beam in select_beam_rows(caustic).items():
-        quantities = []
-        for variable, words, unit in BEAM:
-            text = quantity_text(float(beam[variable]), float(beam[f"{variable}_stderr"]), unit)
-            key = f"caustic.{variable}[axis={beam['axis'].item()}]"
-            quantities.append(Markup("{} {}").format(words, citations.cite(text, key)))
-        clauses.append(Markup("{}: {} {}, {}, {}").format(axis_name, *quantities))
-    return Markup(
-        "The fitted widths follow a hyperbola in z ({} beam; 1/e² radii of the fitted Gaussian, standard errors); {}."
-    ).format(caustic.attrs["beam"], Markup("; ").join(clauses))
+    sentences = []
+    for estimator in map(str, caustic["estimator"].values):
+        ds = caustic.sel(estimator=estimator)
+        clauses = []
+        for axis_name, beam in select_beam_rows(ds).items():
+            quantities = []
+            for variable, words, unit in BEAM:
+                text = quantity_text(float(beam[variable]), float(beam[f"{variable}_stderr"]), unit)
+                key = f"caustic.{variable}[estimator={estimator}, axis={beam['axis'].item()}]"
+                quantities.append(Markup("{} {}").format(words, citations.cite(text, key)))
+            clauses.append(Markup("{}: {} {}, {}, {}").format(axis_name, *quantities))
+        sentences.append(
+            Markup("By {}, the widths follow a hyperbola in z ({} beam; 1/e² radii, standard errors); {}.").format(
+                ESTIMATORS[estimator], str(ds["beam"].values), Markup("; ").join(clauses)
+            )
+        )
+    light = f"The light is {caustic.attrs['light']}."
+    missing = f" No caustic by {caustic.attrs['missing']}." if caustic.attrs["missing"] else ""
+    return Markup(" ").join([*sentences, Markup("{}{}").format(light, missing)])
 
 
 def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:

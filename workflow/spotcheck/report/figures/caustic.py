@@ -1,13 +1,15 @@
 """Caustic of the beam: 1/e² radius over distance, with fitted hyperbolas.
 
 The beam has two axes, x and y. They are the principal axes if the frames determine their direction, the azimuth; else
-they are the axes of the image. The third one, "mean", is the mean of both.
+they are the axes of the image. The third one, "mean", is the mean of both. The figure shows the widths by the estimator
+that is to be quoted, the first one of caustic.nc.
 """
 
 import numpy as np
 import xarray as xr
 
-from spotcheck.fitting.caustic import CONDITION, Hyperbola, compute_interval_half_width, select_beam_rows
+from spotcheck.fitting.hyperbola import Hyperbola, compute_interval_half_width
+from spotcheck.fitting.scan_caustic import CONDITION, FIT, select_beam_rows
 from spotcheck.io.number_text import quantity_text
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
@@ -29,7 +31,7 @@ def draw_caustic(results: Results) -> style.Drawing:
 
     The mean of both axes is drawn as well if the frames do not determine the azimuth.
     """
-    ds = results.get("caustic")
+    ds = results.get("caustic").isel(estimator=0)
     z_factor, z_unit = style.choose_unit(ds[CONDITION].values, "m")
     radii = ds["beam_radius"].values
     w_factor, w_unit = style.choose_unit(radii[np.isfinite(radii)].min(), "m")
@@ -82,7 +84,7 @@ def _read_hyperbola(beam: xr.Dataset) -> Hyperbola:
 
 
 def _write_caption(ds: xr.Dataset) -> str:
-    """Return the caption; `ds` is the content of caustic.nc."""
+    """Return the caption; `ds` is the content of caustic.nc for the estimator shown."""
     # Part of caustic.nc for each axis by its name as text: both axes if the azimuth is known, else only their mean.
     beam_by_name = select_beam_rows(ds)
     scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beam_by_name.values())
@@ -94,32 +96,36 @@ def _write_caption(ds: xr.Dataset) -> str:
     )
     kind = (
         "the beam counts as round, since the widths along them differ by less than 13 % in every frame (ISO 11146-1)"
-        if ds.attrs["beam"] == "stigmatic"
+        if ds["beam"] == "stigmatic"
         else "the beam is simple astigmatic: each axis has its own M², their mean has none"
     )
+    is_fit = str(ds["estimator"].values) == FIT
+    widths = "Gaussian widths instead of second moments" if is_fit else "second moments of whole frames"
     text = (
-        "1/e² radius of the beam, twice the fitted standard deviation, over the distance, with the hyperbola"
-        " w² = a + b z + c z² (ISO 11146-1, with Gaussian widths instead of second moments; crops centred on the"
-        f" light). {direction}; {kind}. Below: points less hyperbola, shifted apart for clarity. Error bars: standard"
-        f" error of the fit and the scatter that brings χ² to 1 per degree of freedom ({scatters} of the radius)."
-        " Bands: 68 % interval of the hyperbola."
+        "1/e² radius of the beam, twice the standard deviation, over the distance, with the hyperbola"
+        f" w² = a + b z + c z² (ISO 11146-1, {widths}). {direction}; {kind}. Below: points less hyperbola, shifted"
+        " apart for clarity. Error bars: standard error of the width and the scatter that brings χ² to 1 per degree of"
+        f" freedom ({scatters} of the radius). Bands: 68 % interval of the hyperbola."
     )
-    sentences = [_beam_text(name, beam) for name, beam in beam_by_name.items()]
+    # Fits alone leave out light.
+    cause = "the fitted Gaussians ignore light in the wings, or the radii" if is_fit else "the radii"
+    sentences = [_beam_text(name, beam, cause) for name, beam in beam_by_name.items()]
     end = "The standard asks for ten positions, half of them near the waist and half far."
     return " ".join([text, *sentences, end])
 
 
-def _beam_text(name: str, beam: xr.Dataset) -> str:
-    """Return the quantities of the beam along one axis as a sentence; `name` is that axis as text."""
+def _beam_text(name: str, beam: xr.Dataset, cause: str) -> str:
+    """Return the quantities of the beam along one axis as a sentence.
+
+    `name` is that axis as text, and `cause` the subject of a clause on what makes M² too small.
+    """
     name = name[0].upper() + name[1:]
     if not np.isfinite(float(beam["m2"])):
         return f"{name}: the fitted hyperbola has no waist; the points do not constrain one."
     near, far, total = (int(beam[key]) for key in ("positions_near", "positions_far", "positions"))
     # The warning needs M² more than three standard errors below 1, which chance alone hardly gives.
     warning = (
-        " M² cannot be below 1: the fitted Gaussians ignore light in the wings, or the radii scatter too much."
-        if float(beam["m2"] + 3 * beam["m2_stderr"]) < 1
-        else ""
+        f" M² cannot be below 1: {cause} scatter too much." if float(beam["m2"] + 3 * beam["m2_stderr"]) < 1 else ""
     )
     return (
         f"{name}: waist w0 = {_quantity_text(beam, 'waist_radius', 'm')} at"

@@ -14,7 +14,7 @@ import xarray as xr
 from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset.folder import Dataset, load
 from spotcheck.dataset.instrument import Instrument
-from spotcheck.fitting.caustic import CONDITION as CAUSTIC_AXIS
+from spotcheck.fitting.scan_caustic import CONDITION as CAUSTIC_AXIS
 from spotcheck.io import store
 from spotcheck.sensor import ReadingDistribution, SensorModel
 
