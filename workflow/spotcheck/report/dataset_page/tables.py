@@ -233,7 +233,7 @@ def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str,
 
 
 def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup | None:
-    """Return waist, divergence and M² in a sentence for each estimator, the one to quote first; None without caustic.nc.
+    """Return a sentence with waist, divergence and M² for each estimator, the one to quote first; None without a file.
 
     A sentence describes both axes, or the mean of both axes of a round beam.
     """
