@@ -54,6 +54,18 @@ def test_gain_of_small_spots_in_the_dark():
     assert (np.abs(np.mean(pulls, axis=0)) < 4 / np.sqrt(12)).all()
 
 
+@pytest.mark.parametrize("angle_deg", [0.0, 8.0, 27.0, 45.0, 118.0])
+@pytest.mark.parametrize("width_px", [0.9, 1.6, 2.4])
+def test_a_narrow_line_gives_its_gain_or_none(width_px, angle_deg):
+    """The light of a line falls within a pixel or two: its slope must not count as noise, in any direction."""
+    y, x = np.mgrid[:SIDE, :SIDE] - 119.7
+    along, across = (x * np.cos(turn) + y * np.sin(turn) for turn in np.radians([angle_deg, angle_deg + 90]))
+    light = 800 * np.exp(-((along / 50) ** 2 + (across / width_px) ** 2) / 2)
+    gain = estimate_from_spots((noisy(light, seed).astype(float) for seed in range(3)), {}, None, 1023.0).gain
+    # The interval of 95 %, and 10 % for the light.
+    assert gain is None or (gain.low < 0.11 * 1.1 and gain.gain - 2 * gain.gain_stderr < 0.11 * 1.1)
+
+
 def test_gain_at_black_level_0():
     """The default black level: the converter's zero lies in the middle of the border's noise."""
     own = replace(SENSOR, black_level_dn=0.0)

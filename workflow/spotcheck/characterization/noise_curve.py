@@ -52,6 +52,8 @@ MIN_BINS = 5
 INTERVAL_SD = 2.0
 # Error that is added to that of each bin [DN²], and least variance [DN²] that scales its relative error.
 BIN_ERROR, MIN_VARIANCE = 1e-3, 1e-3
+# Largest ratio of the gains from pixels at a distance of 2 px and of neighbours that noise alone explains.
+MAX_GROWTH = 4.0
 # Number of fits of a curve, each with errors relative to the previous fit.
 FITS = 4
 # Correlation of differences: largest lag [px]; least deviation from white noise that counts, to which this number of
@@ -238,6 +240,12 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
         None if the curve has fewer than `MIN_BINS` levels, or the gain is not significant. The term (c L)² is part of
         the fit only if it is significant.
     """
+    estimate = _estimate_gain(curve, black_dn)
+    return estimate if estimate is not None and estimate.gain > MIN_GAIN_SD * estimate.gain_stderr else None
+
+
+def _estimate_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
+    """Return gain and noise floor as `fit_gain` does, whether significant or not."""
     if curve.level.size < MIN_BINS:
         return None
     linear, textured = (_fit_curve(curve, black_dn, terms) for terms in (2, 3))
@@ -248,14 +256,42 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
     # of c² L to the slope, here at the mean level.
     deviation = TEXTURE_ERROR * abs(texture) * float(np.mean(curve.level - black_dn)) if has_texture else 0.0
     gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), deviation))
-    if not gain > MIN_GAIN_SD * error:
-        return None
     # The lower of the ends of both fits: texture that is not significant is left out of the linear fit, whose gain it
     # raises.
     textured_error = float(np.hypot(np.sqrt(textured.covariance[1, 1]), deviation))
     low = min(float(textured.value[1]) - INTERVAL_SD * textured_error, gain - INTERVAL_SD * error)
     floor, floor_error = float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0]))
     return GainEstimate(gain, error, floor, floor_error, max(low, 0.0))
+
+
+def spread_pixels(image: np.ndarray) -> np.ndarray:
+    """Return an image [rows, columns] with its pixels rearranged so that neighbours were 2 px apart.
+
+    Each of the four images of every second row and column follows the other, with NaN between them. White noise has
+    the same noise curve as before; the differences of light that is finer than a few pixels grow.
+    """
+    rows, columns = (side // 2 * 2 for side in image.shape)
+    parts = [image[first_row:rows:2, first_column:columns:2] for first_row in (0, 1) for first_column in (0, 1)]
+    return np.concatenate([np.pad(part, ((0, 1), (0, 0)), constant_values=np.nan) for part in parts])
+
+
+def is_gain_of_noise(gain: GainEstimate, spread_curve: NoiseCurve, black_dn: float) -> bool:
+    """Return whether a gain comes from noise, and not from differences of the light between neighbouring pixels.
+
+    The variance of noise does not depend on the distance of the pixels, but that of smooth light grows with its fourth
+    power or faster. Light that varies along rows or along columns alone cancels at every distance. Of simulated lines
+    of σ 0.8 to 5 px at angles of 0° to 45°, those that raise the gain by more than 10 % let it grow by `MAX_GROWTH` or
+    more from 1 px to 2 px.
+
+    Parameters
+    ----------
+    gain : gain of the noise curve of neighbouring pixels.
+    spread_curve : noise curve of the same images after `spread_pixels`. With fewer than `MIN_BINS` levels the gain
+        cannot be tested and counts as that of noise.
+    black_dn : black level [DN] of the curve.
+    """
+    spread = _estimate_gain(spread_curve, black_dn)
+    return spread is None or spread.gain + INTERVAL_SD * spread.gain_stderr <= MAX_GROWTH * gain.gain
 
 
 def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseCorrelation:

@@ -36,6 +36,8 @@ PEAK_BINS = 1.5
 # Saturation of a sensor: least number and least part of the saturating spots that agree with their median, and largest
 # relative difference from the median for agreement.
 MIN_AGREEING, MIN_AGREEING_PART, AGREEMENT = 2, 0.6, 0.05
+# Reason why differences of neighbouring pixels give no gain although they grow with the light.
+FINE_LIGHT = "neighbouring pixels differ by the light itself, which is finer than some pixels"
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class SpotEstimates:
     """Properties of the sensor that images of spots show."""
 
     gain: GainEstimate | None  # gain [DN/e-] and noise floor [DN²]; None if the noise does not grow with the light
-    method: str  # how gain and floor were measured, as a phrase; "" if there is no gain
+    method: str  # how gain and floor were measured, as a phrase; without a gain, why it was refused, or ""
     saturation: tuple[float, float] | None  # level over black and standard error [DN]; None if spots do not saturate
     saturated_variance: float  # temporal variance of a saturated pixel [DN²]; NaN without pairs
     zero_level_dn: float  # level from which light was counted [DN]: black level, or median of the rims of all frames
@@ -81,27 +83,28 @@ def estimate_from_spots(
     linearizer = SensorModel(
         gain_dn_per_e=1.0, read_noise_e=0.0, full_scale_dn=full_scale_dn, response_bend=response_bend
     )
-    curves, tested_crops = list[NoiseCurve](), list[np.ndarray]()
+    curves, spread_curves, tested_crops = list[NoiseCurve](), list[NoiseCurve](), list[np.ndarray]()
     saturations, zero_levels = list[float](), list[float]()
     for crop in crops:
         zero_level = measure_rim(crop) if black_dn is None else black_dn
         sensor = replace(linearizer, black_level_dn=zero_level)
         image = sensor.linearize(crop)
         saturation = find_saturation(image, zero_level)
-        curve = noise_curve.measure_noise_curve(image, _limit_readings(sensor, saturation))
+        limit_dn = _limit_readings(sensor, saturation)
+        for pixels, its_curves in ((image, curves), (noise_curve.spread_pixels(image), spread_curves)):
+            curve = noise_curve.measure_noise_curve(pixels, limit_dn)
+            its_curves.append(curve._replace(level=curve.level - zero_level))
         zero_levels.append(zero_level)
         saturations.append(saturation)
-        if curve.level.size:
-            curves.append(curve._replace(level=curve.level - zero_level))
         # The readings as they are: only they show the codes of the converter.
         if len(tested_crops) < TESTED_FRAMES:
             tested_crops.append(crop)
     # Noise curves over light, of all crops together and of each kind of pairs.
-    curves_by_method = {}
-    if curves:
-        method = f"differences of neighbouring pixels in {_format_count(len(curves), 'frame')}"
-        pooled = NoiseCurve(*(np.concatenate(columns) for columns in zip(*curves, strict=True)))
-        curves_by_method[method + _describe_faults(tested_crops, full_scale_dn)] = pooled
+    curves_by_method, neighbours = {}, ""
+    if frame_count := sum(curve.level.size > 0 for curve in curves):
+        neighbours = f"differences of neighbouring pixels in {_format_count(frame_count, 'frame')}"
+        neighbours += _describe_faults(tested_crops, full_scale_dn)
+        curves_by_method[neighbours] = _pool(curves)
     zero_level = float(np.median(zero_levels)) if zero_levels else black_dn or 0.0
     sensor = replace(linearizer, black_level_dn=zero_level)
     saturated_sums = np.zeros(2)
@@ -112,15 +115,24 @@ def estimate_from_spots(
     # The levels of these curves are over black.
     fits = ((method, noise_curve.fit_gain(curve, black_dn=0.0)) for method, curve in curves_by_method.items())
     gains = {method: gain for method, gain in fits if gain is not None}
+    refusal = ""
+    if neighbours in gains and not noise_curve.is_gain_of_noise(gains[neighbours], _pool(spread_curves), black_dn=0.0):
+        del gains[neighbours]
+        refusal = FINE_LIGHT
     best_method = min(gains, key=lambda method: gains[method].gain_stderr / gains[method].gain, default="")
     return SpotEstimates(
         gain=gains.get(best_method),
-        method=best_method,
+        method=best_method or refusal,
         saturation=find_common_saturation(saturations),
         saturated_variance=float(saturated_sums[1] / saturated_sums[0]) if saturated_sums[0] else np.nan,
         zero_level_dn=zero_level,
         lowest_zero_level_dn=min(zero_levels, default=zero_level),
     )
+
+
+def _pool(curves: Sequence[NoiseCurve]) -> NoiseCurve:
+    """Return the bins of some noise curves, at least one, in a single curve."""
+    return NoiseCurve(*(np.concatenate(columns) for columns in zip(*curves, strict=True)))
 
 
 def _compare_pairs(

@@ -86,7 +86,7 @@ def estimate_camera(images: Sequence[Image]) -> Camera:
         gain = scaled_gain._replace(value=step_dn * scaled_gain.value, stderr=step_dn * scaled_gain.stderr)
     return Camera(
         images=tuple(image.name for image in images), gain=gain, read_noise=quantities.get("read_noise_e"),
-        method=estimate.method if quantities else UNKNOWN_GAIN, black_level_dn=step_dn * estimate.lowest_zero_level_dn,
+        method=estimate.method or UNKNOWN_GAIN, black_level_dn=step_dn * estimate.lowest_zero_level_dn,
         clip_level_dn=clip_level, step_dn=step_dn,
     )  # fmt: skip
 
