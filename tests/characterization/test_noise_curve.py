@@ -55,7 +55,7 @@ def test_gain_of_small_spots_in_the_dark():
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 8.0, 27.0, 45.0, 118.0])
-@pytest.mark.parametrize("width_px", [0.9, 1.6, 2.4])
+@pytest.mark.parametrize("width_px", [0.9, 1.3, 1.6, 2.4])
 def test_a_narrow_line_gives_its_gain_or_none(width_px, angle_deg):
     """The light of a line falls within a pixel or two: its slope must not count as noise, in any direction."""
     y, x = np.mgrid[:SIDE, :SIDE] - 119.7

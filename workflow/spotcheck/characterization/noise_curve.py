@@ -54,6 +54,8 @@ INTERVAL_SD = 2.0
 BIN_ERROR, MIN_VARIANCE = 1e-3, 1e-3
 # Largest ratio of the gains from pixels at a distance of 2 px and of neighbours that noise alone explains.
 MAX_GROWTH = 4.0
+# Light is finer than some pixels if spread pixels have at most this part of the levels of neighbours.
+MIN_LEVELS_PART = 0.5
 # Number of fits of a curve, each with errors relative to the previous fit.
 FITS = 4
 # Correlation of differences: largest lag [px]; least deviation from white noise that counts, to which this number of
@@ -275,7 +277,7 @@ def spread_pixels(image: np.ndarray) -> np.ndarray:
     return np.concatenate([np.pad(part, ((0, 1), (0, 0)), constant_values=np.nan) for part in parts])
 
 
-def is_gain_of_noise(gain: GainEstimate, spread_curve: NoiseCurve, black_dn: float) -> bool:
+def is_gain_of_noise(gain: GainEstimate, curve: NoiseCurve, spread_curve: NoiseCurve) -> bool:
     """Return whether a gain comes from noise, and not from differences of the light between neighbouring pixels.
 
     The variance of noise does not depend on the distance of the pixels, but that of smooth light grows with its fourth
@@ -285,13 +287,14 @@ def is_gain_of_noise(gain: GainEstimate, spread_curve: NoiseCurve, black_dn: flo
 
     Parameters
     ----------
-    gain : gain of the noise curve of neighbouring pixels.
-    spread_curve : noise curve of the same images after `spread_pixels`. With fewer than `MIN_BINS` levels the gain
-        cannot be tested and counts as that of noise.
-    black_dn : black level [DN] of the curve.
+    gain, curve : noise curve of neighbouring pixels, and the gain from it. Its levels are over black.
+    spread_curve : noise curve of the same images after `spread_pixels`. Where the light varies slowly, it has about as
+        many levels as `curve`.
     """
-    spread = _estimate_gain(spread_curve, black_dn)
-    return spread is None or spread.gain + INTERVAL_SD * spread.gain_stderr <= MAX_GROWTH * gain.gain
+    spread = _estimate_gain(spread_curve, 0.0)
+    if spread is None:
+        return spread_curve.level.size > MIN_LEVELS_PART * curve.level.size
+    return spread.gain + INTERVAL_SD * spread.gain_stderr <= MAX_GROWTH * gain.gain
 
 
 def measure_noise_correlation(image: np.ndarray, full_scale_dn: float) -> NoiseCorrelation:

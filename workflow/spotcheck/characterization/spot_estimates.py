@@ -116,9 +116,11 @@ def estimate_from_spots(
     fits = ((method, noise_curve.fit_gain(curve, black_dn=0.0)) for method, curve in curves_by_method.items())
     gains = {method: gain for method, gain in fits if gain is not None}
     refusal = ""
-    if neighbours in gains and not noise_curve.is_gain_of_noise(gains[neighbours], _pool(spread_curves), black_dn=0.0):
-        del gains[neighbours]
-        refusal = FINE_LIGHT
+    if neighbours in gains:
+        curve, spread_curve = curves_by_method[neighbours], _pool(spread_curves)
+        if not noise_curve.is_gain_of_noise(gains[neighbours], curve, spread_curve):
+            del gains[neighbours]
+            refusal = FINE_LIGHT
     best_method = min(gains, key=lambda method: gains[method].gain_stderr / gains[method].gain, default="")
     return SpotEstimates(
         gain=gains.get(best_method),
