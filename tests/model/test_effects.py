@@ -226,7 +226,13 @@ EMVA = {
     "dark_offset": {
         *(
             f"characterization/{module}.py"
-            for module in ("contradictions", "derived_quantities", "emva_quantities", "sensor_choice")
+            for module in (
+                "contradictions",
+                "derived_quantities",
+                "emva_quantities",
+                "photon_transfer",
+                "sensor_choice",
+            )  # fmt: skip
         ),
         *("discrepancy/flat_levels.py", "report/figures/photon_transfer.py"),
     },
