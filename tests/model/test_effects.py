@@ -232,7 +232,7 @@ EMVA = {
                 "emva_quantities",
                 "photon_transfer",
                 "sensor_choice",
-            )  # fmt: skip
+            )
         ),
         *("discrepancy/flat_levels.py", "report/figures/photon_transfer.py"),
     },

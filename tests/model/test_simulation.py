@@ -9,7 +9,6 @@ from spotcheck.crops.ingest import check_dataset, ingest_frames
 from spotcheck.dataset import folder as dataset
 from spotcheck.dataset import frames, template
 from spotcheck.dataset.instrument import Instrument
-from spotcheck.errors import InputError
 from spotcheck.fitting.crop_fits import FITS, fit_crops
 from spotcheck.fitting.spot_states import list_spot_states
 from spotcheck.io import store
