@@ -10,7 +10,7 @@ BENCH  := .venv-bench
 CHECK  := results/check
 WHEEL  := build/wheel
 
-.PHONY: all quick test docs wheel load load-kills load-hostile load-scale load-rules test-slurm newest licences lint check-numbers bench \
+.PHONY: all quick test docs wheel load load-kills load-hostile load-scale load-rules test-slurm newest licences lint check-numbers bench rivals \
     validate validate-real snakemake-report lock lock-bench clean
 
 all: $(READY)
@@ -110,6 +110,10 @@ $(BENCH)/.ready: requirements-bench.lock pyproject.toml workflow/rig/pyproject.t
 	$(BENCH)/bin/pip install --quiet --no-deps --require-hashes -r requirements-bench.lock
 	$(BENCH)/bin/pip install --quiet --no-deps --no-build-isolation --editable . --editable workflow/rig
 	@touch $@
+
+# Rival explanations of the printed numbers of the paper, about an hour and a half of one core: data/rival_worlds.json and results/rivals.
+rivals: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.validation.rivals
 
 # Data sets with hidden effects, judged for two hours; each call adds to those of the earlier ones at a commit. Real beams and
 # frames lie beside the repository; without them their sets are left out. VALIDATE="--hours 1 --jobs 40" changes that;

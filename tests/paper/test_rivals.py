@@ -1,9 +1,13 @@
 """Rival worlds: light, limits and speckle against closed forms; emulator and choice against known answers."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from spotcheck.paper.rivals import inference, predictions, summaries, worlds
+from spotcheck.report.figures import rivals, style
+from tests.validation.rivals import format_table
 
 WORLDS = {world.name: world for world in worlds.WORLDS}
 RNG_SEED = 3
@@ -90,3 +94,47 @@ def test_frames_to_separate_two_predictions():
     assert predictions.count_frames_to_separate(first, second) == 50
     assert predictions.count_frames_to_separate(first, first) == np.inf
     assert predictions.list_separations([[first], [second]]) == [[0.0, 50.0], [50.0, 0.0]]
+
+
+def stored_record() -> dict:
+    """A stored result with made-up numbers: two worlds, of which the first is preferred."""
+    prediction_names = (
+        *(f"{name}, exposure of {time} µs" for name in ("fitted width", "largest reading") for time in (10, 30)),
+        "largest reading, 900 µs behind a filter of 1 %",
+        "radius at 20 % over radius at 80 % of the profile, exposure of 30 µs",
+    )
+    world = {
+        "title": "made up",
+        "chi2_fitted": 3.0,
+        "log_score": -10.0,
+        "mean": summaries.PRINTED.tolist(),
+        "sd": (0.1 * summaries.PRINTED).tolist(),
+        "p_values": np.linspace(0.001, 1, len(summaries.SUMMARIES)).tolist(),
+        "photon_gain": 40.0,
+        "predictions": [{"experiment": name, "unit": "px", "mean": 5.0, "sd": 1.0} for name in prediction_names],
+    }
+    names = ("growth", "gaussian clip")
+    recovery = {name: {**dict.fromkeys(names, 0), "cannot tell": 5, name: 15} for name in names}
+    return {
+        "summaries": [asdict(summary) for summary in summaries.SUMMARIES],
+        "worlds": {names[0]: world, names[1]: world | {"log_score": -20.0}},
+        "preferred": names[0],
+        "recovery": recovery,
+        "frames_to_separate": [[0, 4], [4, 0]],
+    }
+
+
+def test_figures_and_table_of_a_stored_result_say_what_it_holds(tmp_path):
+    record = stored_record()
+    captions = {}
+    for name, draw in rivals.DRAWINGS:
+        with style.house_style():
+            drawing = draw(record)
+            style.save_drawing(drawing, tmp_path, name)
+        captions[name] = drawing.caption
+    assert len(captions) <= 4 and all((tmp_path / f"{name}.svg").stat().st_size for name in captions)
+    assert "The print prefers: growth" in captions["rivals-scores"]
+    rows = zip(record["worlds"]["growth"]["p_values"], record["summaries"], strict=True)
+    held_out = [p for p, summary in rows if not summary["is_fitted"]]
+    assert f"Missed of {len(held_out)}: growth {sum(p < 0.05 for p in held_out)}" in captions["rivals-held-out"]
+    assert "| growth: made up | 3 | -10 | " in format_table(record) and "| 15, 0, 5 |" in format_table(record)

@@ -1,7 +1,8 @@
 """Rival worlds of the paper's frames: fit, score, recovery and predictions, stored in data/rival_worlds.json.
 
 `python -m tests.validation.rivals [--realisations 200] [--sets 20] [--seed 1]`, about an hour and a half of one core
-in all. The seed is that of all random numbers and is not searched.
+in all. The seed is that of all random numbers and is not searched. Table and figures go to results/rivals; `--draw`
+writes only these.
 """
 
 import argparse
@@ -9,15 +10,18 @@ import json
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from spotcheck.paper.rivals import inference, predictions, summaries, worlds
+from spotcheck.report.figures import rivals, style
 from tests.samples.small_datasets import ROOT
 
 STORED = ROOT / "data" / "rival_worlds.json"
+FOLDER = ROOT / "results" / "rivals"
+# A world misses a number with a p-value below this one.
+MISSED_P = 0.05
 # Keys of the random numbers of realisations, predictions and of the sets for the recovery.
 REALISATIONS, PREDICTIONS, SETS = 100, 101, 102
 
@@ -28,8 +32,15 @@ def main() -> None:
     parser.add_argument("--realisations", type=int, default=200, help="of each world at its best parameters")
     parser.add_argument("--sets", type=int, default=20, help="simulated sets of each world for the recovery")
     parser.add_argument("--seed", type=int, default=1, help="of all random numbers")
-    parser.add_argument("--output", type=Path, default=STORED, help="rival_worlds.json to write")
+    parser.add_argument("--draw", action="store_true", help="write table and figures of the stored result only")
     args = parser.parse_args()
+    if not args.draw:
+        STORED.write_text(json.dumps(compute(args), indent=1) + "\n", encoding="utf-8")
+    publish(rivals.read_worlds(STORED))
+
+
+def compute(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the content of rival_worlds.json."""
     emulators, fitted = {}, {}
     with ProcessPoolExecutor(2) as pool:
         for world in worlds.WORLDS:
@@ -41,7 +52,7 @@ def main() -> None:
         [predictions.Prediction(**row) for row in fitted[world.name]["predictions"]] for world in worlds.WORLDS
     ]
     scores = {name: result["log_score"] for name, result in fitted.items()}
-    content = {
+    return {
         "seed": args.seed,
         "summaries": [asdict(summary) for summary in summaries.SUMMARIES],
         "worlds": fitted,
@@ -49,7 +60,35 @@ def main() -> None:
         "recovery": recovery,
         "frames_to_separate": predictions.list_separations(predicted),
     }
-    args.output.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def publish(record: dict[str, Any]) -> None:
+    """Write figures and table of a stored result."""
+    for name, draw in rivals.DRAWINGS:
+        with style.house_style():
+            style.save_drawing(draw(record), FOLDER, name)
+    (FOLDER / "worlds.md").write_text(format_table(record), encoding="utf-8")
+
+
+def format_table(record: dict[str, Any]) -> str:
+    """Return the table of the worlds in Markdown."""
+    fitted = sum(summary["is_fitted"] for summary in record["summaries"])
+    held_out = len(record["summaries"]) - fitted
+    lines = [
+        f"| world | χ² of the {fitted} fitted numbers | log score of held-out numbers | missed of {held_out} (p < 0.05)"
+        " | light / Lambertian | simulated sets: named, wrong, cannot tell |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for name, world in record["worlds"].items():
+        p_values = [p for p, row in zip(world["p_values"], record["summaries"], strict=True) if not row["is_fitted"]]
+        counts = dict(record["recovery"][name])
+        named, unknown = counts.pop(name), counts.pop("cannot tell")
+        lines.append(
+            f"| {name}: {world['title']} | {world['chi2_fitted']:.0f} | {world['log_score']:.0f}"
+            f" | {sum(p < MISSED_P for p in p_values)} | {world['photon_gain']:.3g}"
+            f" | {named}, {sum(counts.values())}, {unknown} |"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def simulate(world: worlds.World, point: np.ndarray, seed: tuple[int, ...]) -> np.ndarray:

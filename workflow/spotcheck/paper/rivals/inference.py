@@ -19,10 +19,12 @@ from spotcheck.paper.rivals.summaries import IS_FITTED, IS_SCORED, SUMMARIES
 from spotcheck.paper.rivals.worlds import World
 
 # No world is exact: each logarithm of a summary may be off by this much, in the same way for all worlds.
-# ASSUME: 10 %, independently for each summary.
-DISCREPANCY = 0.1
-# Rounds of the emulator: realisations, and half the side of the box in which they lie, as a part of the range.
-ROUNDS = ((160, 0.5), (120, 0.25), (120, 0.125), (120, 0.125))
+# ASSUME: 3 % for p1, p2 and means, 10 % for all else, independently for each summary.
+DISCREPANCY = np.where([summary.is_mean for summary in SUMMARIES], 0.03, 0.1)
+# Rounds of the emulator: realisations, and half the side of the box in which they lie, as a part of the range. The last
+# one is repeated around each new optimum until it lies inside the box, up to this number of rounds in all.
+ROUNDS = ((160, 0.5), (120, 0.25), (120, 0.15))
+MAX_ROUNDS = 8
 # Distance from the edge of the box, as a part of half its side, below which a parameter counts as stopped by the edge.
 EDGE = 1e-3
 # Starts of the search for the best parameters.
@@ -65,7 +67,7 @@ class WorldFit:
     point: np.ndarray  # parameters in the unit cube [parameter]
     chi2: float  # χ² of the fitted summaries
     log_score: float  # ln of the predictive density of the held-out summaries
-    at_edge: np.ndarray  # whether a parameter stopped at the edge of the emulator's box [parameter]
+    at_edge: np.ndarray  # whether a parameter stopped at the edge of the emulator's box, inside its range [parameter]
 
 
 def transform(summaries: np.ndarray) -> np.ndarray:
@@ -103,14 +105,18 @@ def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed
     size = len(world.parameters)
     centre, points, summaries = np.full(size, 0.5), np.empty((0, size)), np.empty((0, len(SUMMARIES)))
     emulator = None
-    for number, (count, half) in enumerate(ROUNDS):
+    for number in range(MAX_ROUNDS):
+        count, half = ROUNDS[min(number, len(ROUNDS) - 1)]
         cube = qmc.LatinHypercube(size, rng=np.random.default_rng([*seed, number])).random(count)
         low, high = np.maximum(centre - half, 0), np.minimum(centre + half, 1)
         drawn = low + (high - low) * cube
         points, summaries = np.concatenate([points, drawn]), np.concatenate([summaries, simulate(drawn, number)])
         is_near = np.isfinite(summaries).all(axis=1) & (np.abs(points - centre) <= 1.5 * half).all(axis=1)
         emulator = _fit_emulator(points[is_near], transform(summaries[is_near]), centre, half)
-        centre = fit_world(emulator, observed).point
+        best = fit_world(emulator, observed)
+        if number >= len(ROUNDS) - 1 and not best.at_edge.any():
+            break
+        centre = best.point
     assert emulator is not None
     return emulator
 
@@ -143,7 +149,7 @@ def _fit_emulator(points: np.ndarray, values: np.ndarray, centre: np.ndarray, ha
 
 def _add_discrepancy(covariance: np.ndarray) -> np.ndarray:
     """Return a covariance of logarithms [summary, summary] with that of `DISCREPANCY` added."""
-    return covariance + DISCREPANCY**2 * np.eye(len(covariance))
+    return covariance + np.diag(DISCREPANCY**2)
 
 
 def fit_world(emulator: Emulator, observed: np.ndarray) -> WorldFit:
@@ -160,7 +166,8 @@ def fit_world(emulator: Emulator, observed: np.ndarray) -> WorldFit:
         for start in starts
     ]
     best = min(results, key=lambda result: result.fun)
-    at_edge = np.minimum(best.x - box.lb, box.ub - best.x) < EDGE * emulator.half
+    is_low, is_high = best.x - box.lb < EDGE * emulator.half, box.ub - best.x < EDGE * emulator.half
+    at_edge = (is_low & (box.lb > 0)) | (is_high & (box.ub < 1))
     return WorldFit(best.x, float(best.fun), score_held_out(emulator, observed, best.x), at_edge)
 
 

@@ -24,22 +24,23 @@ class Summary:
     printed: float  # printed value [unit]
     unit: str  # unit; "1" if dimensionless
     is_fitted: bool  # whether worlds are fitted to it; the others are held out
+    is_mean: bool = False  # whether it is p1, p2 or a mean of readings or amplitudes
     is_limit: bool = False  # whether the print gives an upper limit, which has a p-value and no score
 
 
 # Means, and one standard deviation each for the brightness, the width and the contrast of sites, are fitted; other
 # standard deviations, and the share of peak pixels, are held out.
 SUMMARIES = (
-    Summary("p1", 2.48, "px", True),
-    Summary("p2", 34.55, "px", True),
-    Summary("maximum_smallest", 800.0, "DN", True),
+    Summary("p1", 2.48, "px", True, is_mean=True),
+    Summary("p2", 34.55, "px", True, is_mean=True),
+    Summary("maximum_smallest", 800.0, "DN", True, is_mean=True),
     Summary("contrast_smallest", 4.4, "1", True),
     Summary("contrast_largest", 9.5, "1", True),
     Summary("contrast_sd_largest", 1.8, "1", True),
-    Summary("amplitude_short_smallest", 839.0, "DN", True),
-    Summary("amplitude_short_largest", 924.0, "DN", True),
-    Summary("amplitude_long_smallest", 992.0, "DN", True),
-    Summary("amplitude_long_largest", 1062.0, "DN", True),
+    Summary("amplitude_short_smallest", 839.0, "DN", True, is_mean=True),
+    Summary("amplitude_short_largest", 924.0, "DN", True, is_mean=True),
+    Summary("amplitude_long_smallest", 992.0, "DN", True, is_mean=True),
+    Summary("amplitude_long_largest", 1062.0, "DN", True, is_mean=True),
     Summary("amplitude_sd_short", 227.0, "DN", True),
     Summary("width_sd_largest", 4.0, "px", True),
     Summary("p1_sd", 0.32, "px", False),
