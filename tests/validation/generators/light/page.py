@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tests.validation.generators.light.plan import COUNTS
 from tests.validation.generators.light.reading import (
     effect_names,
     false_names,
@@ -30,7 +31,7 @@ def as_markdown(records: Sequence[Record], commit: str) -> str:
     return "\n".join([
         "# How often the verdict is right", "",
         f"{len(scored)} data sets with hidden effects were judged at commit `{commit}` by `make validate`, on seeds "
-        "that follow from the commit's hash, once. Generator and library share no code.", "",
+        f"that follow from the commit's hash, once{so_far(records)}. Generator and library share no code.", "",
         "*Right*: every effect is named as its only candidate, nothing else is named, and the verdict converged within "
         "200 CPU seconds. On real beams names of static shapes do not count as false, nor do names that the same beam "
         "gets without what was put in, and an effect that the beam's shape hides by design is right where a shape is "
@@ -41,6 +42,17 @@ def as_markdown(records: Sequence[Record], commit: str) -> str:
         *markdown(("parameter", "values", "median", "rms", "within 1.96"), tabulate_pulls(scored)), "",
         "## Sets that are not right", "", *[f"- {said}" for said in lines], "",
     ])  # fmt: skip
+
+
+def so_far(records: Sequence[Record]) -> str:
+    """What to say of a table of which sets are still to be judged; "" for a complete one."""
+    total = sum(COUNTS.values())
+    missing = total - len(records)
+    return (
+        f"; {missing} of the {total} sets are still to be judged, in an order that mixes all rows"
+        if missing > 0
+        else ""
+    )
 
 
 def tabulate_pulls(records: Sequence[Record]) -> list[tuple[str, ...]]:

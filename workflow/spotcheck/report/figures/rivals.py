@@ -72,9 +72,9 @@ def draw_law(record: Record) -> style.Drawing:
     ax.set(xlabel="exposure time $t$ / µs", ylabel="fitted width / px", ylim=(0, None))
     style.add_legend(figure, handles, labels, 3)
     caption = (
-        "Fitted width of the spot over the exposure. Grey: the measured range, with the printed p1 ln t + p2 and that of"
-        " each world. Left of it: predictions, mean ± standard deviation over sites. Where the spot itself grows, the law"
-        " goes on; a clipped spot of constant width no longer shrinks once no pixel is clipped."
+        "Fitted width of the spot over the exposure. Grey: the measured range, with the printed p1 ln t + p2 and that"
+        " of each world. Left of it: predictions, mean ± standard deviation over sites. Where the spot itself grows,"
+        " the law goes on; a clipped spot of constant width no longer shrinks once no pixel is clipped."
     )
     return style.Drawing(figure, caption)
 
