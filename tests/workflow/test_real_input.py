@@ -71,11 +71,13 @@ def test_caustic(zscan):
     nine numbers one in 2000 sets misses by chance). Of a real beam nobody knows them; it is no better than a Gaussian.
     """
     folder, results = zscan
-    with xr.open_dataset(results / "caustic.nc") as caustic:
+    with xr.open_dataset(results / "caustic.nc") as estimates:
+        # The estimator to quote is the first.
+        caustic = estimates.isel(estimator=0)
         if not (folder / "made-with.yaml").exists():
-            assert (caustic["m2"] + 3 * caustic["m2_stderr"]).sel(axis=["x", "y"]).min() > 1
+            assert (caustic["m2"] + 3 * caustic["m2_stderr"]).min() > 1
             return
-        assert caustic.attrs["beam"] == "simple astigmatic"
+        assert caustic["beam"] == "simple astigmatic"
         want = {"waist_radius": (56e-6, 60e-6), "waist_position": (0.198, 0.204), "m2": (1.1, 1.1)}
         for name, values in want.items():
             own = caustic.sel(axis=["x", "y"])

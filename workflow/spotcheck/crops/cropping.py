@@ -89,10 +89,12 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
             centres.append((left + side // 2, top + side // 2))
             moments.append(measure_moments(image, left, top) if is_usable(values["status"][AT_LIGHT]) else None)
         # Outliers are known only when all frames are measured.
-        revised_statuses, remarks = _flag_outliers(dataset, np.array(statuses), moments)
+        # A dataset of flats and darks alone has no spots.
+        by_centring = np.array(statuses, dtype=int).reshape(-1, len(CENTRINGS))
+        revised_statuses, remarks = _flag_outliers(dataset, by_centring, moments)
         is_out = (revised_statuses[:, AT_LIGHT] & store.UNUSABLE) != 0
         used = [None if out else moment for out, moment in zip(is_out, moments, strict=True)]
-        if remark := describe_second_spots(dataset, used, np.array(centres), partial(_measure_at, dataset)):
+        if remark := describe_second_spots(dataset, used, np.reshape(centres, (-1, 2)), partial(_measure_at, dataset)):
             remarks.insert(0, remark)
         for index, status in zip(indices, revised_statuses, strict=True):
             writer.put(index, {"status": status})
