@@ -20,8 +20,6 @@ from tests.samples.small_datasets import ROOT
 
 STORED = ROOT / "data" / "rival_worlds.json"
 FOLDER = ROOT / "results" / "rivals"
-# A world misses a number with a p-value below this one.
-MISSED_P = 0.05
 # Keys of the random numbers of realisations, predictions and of the sets for the recovery.
 REALISATIONS, PREDICTIONS, SETS = 100, 101, 102
 
@@ -85,7 +83,7 @@ def format_table(record: dict[str, Any]) -> str:
         named, unknown = counts.pop(name), counts.pop("cannot tell")
         lines.append(
             f"| {name}: {world['title']} | {world['chi2_fitted']:.0f} | {world['log_score']:.0f}"
-            f" | {sum(p < MISSED_P for p in p_values)} | {world['photon_gain']:.3g}"
+            f" | {sum(p < rivals.MISSED_P for p in p_values)} | {world['photon_gain']:.3g}"
             f" | {named}, {sum(counts.values())}, {unknown} |"
         )
     return "\n".join(lines) + "\n"

@@ -16,6 +16,7 @@ from spotcheck.characterization import noise_curve
 from spotcheck.characterization.frame_pairs import EMPTY_TALLY, convert_to_curve, tally_differences
 from spotcheck.characterization.missing_codes import find_missing_codes
 from spotcheck.characterization.noise_curve import MIN_COUNT, GainEstimate, NoiseCurve
+from spotcheck.io.number_text import count_text
 from spotcheck.sensor import SensorModel
 
 # Signals below this part of saturation have their full noise.
@@ -100,23 +101,25 @@ def estimate_from_spots(
         if len(tested_crops) < TESTED_FRAMES:
             tested_crops.append(crop)
     # Noise curves over light, of all crops together and of each kind of pairs.
-    curves_by_method, neighbours = {}, ""
+    curves_by_method, neighbours, faults = {}, "", ""
     if frame_count := sum(curve.level.size > 0 for curve in curves):
-        neighbours = f"differences of neighbouring pixels in {_format_count(frame_count, 'frame')}"
-        neighbours += _describe_faults(tested_crops, full_scale_dn)
+        neighbours = f"differences of neighbouring pixels in {count_text(frame_count, 'frame')}"
+        faults = _describe_faults(tested_crops, full_scale_dn)
+        neighbours += faults
         curves_by_method[neighbours] = _pool(curves)
     zero_level = float(np.median(zero_levels)) if zero_levels else black_dn or 0.0
     sensor = replace(linearizer, black_level_dn=zero_level)
     saturated_sums = np.zeros(2)
     for phrase, image_pairs in pairs.items():
         curve, count, saturated_sums_of_kind = _compare_pairs(image_pairs, sensor)
-        curves_by_method[f"differences of {_format_count(count, 'pair')} of {phrase}"] = curve
+        curves_by_method[f"differences of {count_text(count, 'pair')} of {phrase}"] = curve
         saturated_sums += saturated_sums_of_kind
     # The levels of these curves are over black.
     fits = ((method, noise_curve.fit_gain(curve, black_dn=0.0)) for method, curve in curves_by_method.items())
     gains = {method: gain for method, gain in fits if gain is not None}
     refusal = ""
-    if neighbours in gains:
+    # Noise that pixels share changes with their distance as well, so that only white noise can be tested.
+    if neighbours in gains and not faults:
         curve, spread_curve = curves_by_method[neighbours], _pool(spread_curves)
         if not noise_curve.is_gain_of_noise(gains[neighbours], curve, spread_curve):
             del gains[neighbours]
@@ -193,11 +196,6 @@ def _sum_saturated(first: np.ndarray, second: np.ndarray, limit_dn: float) -> np
     # A squared difference is 2 variance χ² with one degree of freedom.
     variance = float(np.median((second - first)[is_saturated] ** 2)) / 2 / chi2.median(1)
     return is_saturated.sum() * np.array([1.0, variance])
-
-
-def _format_count(number: int, noun: str) -> str:
-    """Return a number with its noun in singular or plural, such as "2 frames"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def measure_rim(image: np.ndarray) -> float:

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> None:
     impossible.
     """
     folder, answers = args.folder, dict(_parse_answer(word) for word in args.answers)
-    given = completion.list_given(folder)
+    written_names = completion.list_written_names(folder)
     sensor = read_instrument(folder / completion.INSTRUMENT).sensor
     colour = Colour(answers.get(COLOUR_KEYS[0], sensor.channel), answers.get(COLOUR_KEYS[1], sensor.bayer))
     # Frames of the folder, files that are neither images nor metadata, and a message for each unreadable image.
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> None:
         raise InputError(f"{scan.errors[0]}{hint}{count}")
     check_answers(scan, answers)
     if scan.frames:
-        _write_rows(folder, scan, answers, colour, given)
+        _write_rows(folder, scan, answers, colour, written_names)
     else:
         if folder.is_dir():
             others = f" that is read, but {', '.join(scan.unread_files[:MAX_LISTED])}" if scan.unread_files else ""
@@ -78,17 +78,19 @@ def run(args: argparse.Namespace) -> None:
         print(remark)
 
 
-def _write_rows(folder: Path, scan: FolderScan, answers: dict[str, str], colour: Colour, given: set[str]) -> None:
+def _write_rows(
+    folder: Path, scan: FolderScan, answers: dict[str, str], colour: Colour, written_names: set[str]
+) -> None:
     """Print what the images state, ask for what is missing, write or complete both files, and print what has changed.
 
     `scan` is the content of the folder, `answers` the value of each column or key that the user gave. `colour` says
-    which channel of colour images is read, and `given` are the columns and keys with a value in existing files. The
-    user is asked only at a terminal.
+    which channel of colour images is read, and `written_names` are the columns and keys that have a value in existing
+    files. The user is asked only at a terminal.
     """
     # The draft has the rows of the manifest and the keys of the instrument file.
     draft = draft_manifest(scan, answers)
     print(*summarize_scan(str(folder), scan, draft), sep="\n")
-    if missing_keys := [key for key in _list_missing_keys(draft) if key not in given]:
+    if missing_keys := [key for key in _list_missing_keys(draft) if key not in written_names]:
         if sys.stdin.isatty():
             answers |= dict(pair for key in missing_keys if (pair := _ask_user(scan, key)))
             draft = draft_manifest(scan, answers)

@@ -84,15 +84,15 @@ def _find_extremes(centres: np.ndarray) -> tuple[int, int]:
 def _holds_both(pair: Sequence[tuple[Frame, float, float]], distance: float, measure_at: MeasureAt) -> bool:
     """Return whether each frame of a pair holds a spot of comparable light where the other frame has its spot.
 
-    `pair` has the frame, and the column and row of its spot [px]. The squares end halfway between both places, whose
-    `distance` is given [px].
+    `pair` has the frame, and the column and row of its spot [px]. The squares end halfway between both places, which
+    are `distance` [px] apart.
     """
     for (frame, x, y), (_, other_x, other_y) in (pair, pair[::-1]):
-        own, other = measure_at(frame, x, y, distance), measure_at(frame, other_x, other_y, distance)
-        if own is None or other is None or other.light < LEAST_LIGHT * own.light:
+        cropped, elsewhere = measure_at(frame, x, y, distance), measure_at(frame, other_x, other_y, distance)
+        if cropped is None or elsewhere is None or elsewhere.light < LEAST_LIGHT * cropped.light:
             return False
-        shift = np.hypot(other.x - other_x, other.y - other_y)
-        if SEPARATE_SIGMAS * max(own.sigma, other.sigma) > distance or shift > other.sigma:
+        shift = np.hypot(elsewhere.x - other_x, elsewhere.y - other_y)
+        if SEPARATE_SIGMAS * max(cropped.sigma, elsewhere.sigma) > distance or shift > elsewhere.sigma:
             return False
     return True
 

@@ -21,6 +21,7 @@ from spotcheck.dataset.scan.draft import POSITION, ManifestDraft
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.io.formats.names import split_inner_path
+from spotcheck.io.number_text import count_text
 from spotcheck.io.schema import parse_keys, read_schema
 from spotcheck.io.text import read_text
 
@@ -49,16 +50,16 @@ class FileChanges(NamedTuple):
     remarks: list[str]  # one sentence for each value or frame that was found and is not written
 
 
-def list_given(folder: Path) -> set[str]:
+def list_written_names(folder: Path) -> set[str]:
     """Return the columns of the manifest and the keys of the instrument file of a folder that have a value.
 
     Files that do not exist have none. Raises `InputError` for a file that cannot be read.
     """
-    given = set(read_instrument(folder / INSTRUMENT).given_keys)
+    names = set(read_instrument(folder / INSTRUMENT).given_keys)
     if not _is_unwritten(folder / MANIFEST, template.format_manifest(None)):
         _, rows = read_rows(folder / MANIFEST)
-        given |= {column for _, row in rows for column, value in row.items() if column and (value or "").strip()}
-    return given
+        names |= {column for _, row in rows for column, value in row.items() if column and (value or "").strip()}
+    return names
 
 
 def write_or_complete(folder: Path, draft: ManifestDraft, crop_px: int | None, answers: Collection[str]) -> FileChanges:
@@ -151,12 +152,12 @@ def complete_manifest(path: Path, draft: ManifestDraft, answers: Collection[str]
     new_columns = [column for column in draft.columns if filled[column] and column not in columns]
     text = _edit_lines(path, columns, new_columns, cells_of_line)
     changes = [
-        f"manifest.csv: {column} is filled in {count} of {_count(len(rows), 'row')}"
+        f"manifest.csv: {column} is filled in {count} of {count_text(len(rows), 'row')}"
         for column, count in filled.items()
         if count
     ]
     remarks = [
-        f"manifest.csv: {column} has another value in {_count(count, 'row')}, which stays;"
+        f"manifest.csv: {column} has another value in {count_text(count, 'row')}, which stays;"
         " change it there if it is wrong"
         for column, count in differing.items()
         if count
@@ -165,14 +166,9 @@ def complete_manifest(path: Path, draft: ManifestDraft, answers: Collection[str]
         names = list(dict.fromkeys(file for file, _ in missing))
         listed = ", ".join(names[:MOST_LISTED]) + (", …" if len(names) > MOST_LISTED else "")
         remarks.append(
-            f"manifest.csv: no row for {_count(len(missing), 'frame')} ({listed}); add rows for those to be used"
+            f"manifest.csv: no row for {count_text(len(missing), 'frame')} ({listed}); add rows for those to be used"
         )
     return Completion(text, tuple(changes), tuple(remarks), tuple(column for column in filled if filled[column]))
-
-
-def _count(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural unless it is one."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def _normalize_file(text: str) -> str:

@@ -23,7 +23,7 @@ from scipy import ndimage
 # widest of the next `TESTED_STEPS` steps: the empty codes of look-up tables, such as that of a gamma of 2.2, are fewer.
 MIN_EMPTY_CODES, TESTED_STEPS = 4, 3
 # Least number of pixels in the range of codes above the empty one and as wide, and of those beside the lowest code.
-# Where light varies smoothly, the lower of two such ranges has as many pixels; it is empty by chance once in exp(25).
+# Smooth light has as many pixels in the lower of two such ranges, which is empty by chance once in exp(25).
 MIN_EXPECTED_PX = 25
 # A faint edge of light leaves no reading in its lowest third. The readings must therefore extend to this multiple of
 # the empty range, in all but this part of the pixels, or the empty range to this number of codes.

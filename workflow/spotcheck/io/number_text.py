@@ -106,3 +106,8 @@ def _number_with_error(value: float, stderr: float | None) -> str:
             value, stderr = round(value, decimals), round(stderr, decimals)
         text = format(ufloat(value, stderr), "eP" if decimals > MAX_DECIMALS else "fP").replace("±", " ± ")
     return text.replace("-", "−")
+
+
+def count_text(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural unless it is one: "1 frame", "2 frames"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -11,6 +11,7 @@ import numpy as np
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.fitting.width_law import regress_widths
 from spotcheck.metrics import crop_metrics
+from spotcheck.paper.bright_pixel import PRINTED_P1_PX, PRINTED_P2_PX
 from spotcheck.paper.rivals.worlds import EXPOSURES_S, LASER_PX
 
 ANGLES = 4
@@ -31,8 +32,8 @@ class Summary:
 # Means, and one standard deviation each for the brightness, the width and the contrast of sites, are fitted; other
 # standard deviations, and the share of peak pixels, are held out.
 SUMMARIES = (
-    Summary("p1", 2.48, "px", True, is_mean=True),
-    Summary("p2", 34.55, "px", True, is_mean=True),
+    Summary("p1", PRINTED_P1_PX, "px", True, is_mean=True),
+    Summary("p2", PRINTED_P2_PX, "px", True, is_mean=True),
     Summary("maximum_smallest", 800.0, "DN", True, is_mean=True),
     Summary("contrast_smallest", 4.4, "1", True),
     Summary("contrast_largest", 9.5, "1", True),
@@ -55,6 +56,7 @@ SUMMARIES = (
     Summary("maximum_spread", 6.0, "DN", False),
     Summary("maximum_sd", 10.0, "DN", False, is_limit=True),
 )
+PRINTED_BY_NAME = {summary.name: summary.printed for summary in SUMMARIES}
 PRINTED = np.array([summary.printed for summary in SUMMARIES])
 IS_FITTED = np.array([summary.is_fitted for summary in SUMMARIES])
 IS_SCORED = np.array([not summary.is_fitted and not summary.is_limit for summary in SUMMARIES])

@@ -19,6 +19,9 @@ from matplotlib.figure import Figure
 from spotcheck.io import store
 from spotcheck.metrics.crop_metrics import CONTAINER_RANGE, PER_IMAGE
 from spotcheck.metrics.metrics_table import FIT_PARAMETERS
+from spotcheck.model.propagation import beam_propagation
+from spotcheck.paper.rivals.summaries import PRINTED_BY_NAME
+from spotcheck.paper.rivals.worlds import EXPOSURES_S, LASER_PX
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import METRICS, Category, Entry
 from spotcheck.report.figures.results import Results
@@ -253,8 +256,17 @@ def _average_all_frames(statistics: series.LineStatistics) -> float:
     return float(np.average(statistics.mean[has_frames], weights=statistics.frames[has_frames]))
 
 
-# Smallest and largest mean PSNR in print [dB].
+def _find_printed_range(name: str) -> tuple[float, float]:
+    """Return the smallest and the largest printed mean of a quantity of the paper, in its unit."""
+    return PRINTED_BY_NAME[f"{name}_smallest"], PRINTED_BY_NAME[f"{name}_largest"]
+
+
+# Smallest and largest mean PSNR in print [dB], the smallest mean of the largest reading [DN], and p1 ln t + p2 [px].
 PRINTED_PSNR_DB = (53.0, 58.0)
+SMALLEST_MAXIMUM = PRINTED_BY_NAME["maximum_smallest"]
+PRINTED_WIDTHS_PX = [
+    float(beam_propagation(exposure_s, PRINTED_BY_NAME["p1"], PRINTED_BY_NAME["p2"])) for exposure_s in EXPOSURES_S
+]
 # Metrics of the paper.
 CONTRAST = MetricPlot(
     "speckle_contrast",
@@ -262,7 +274,7 @@ CONTRAST = MetricPlot(
     "Speckle contrast (standard deviation over mean of a crop)",
     "In print the measured means lie between 4.4 and 9.5, the simulated values between 3.5 and 5.2, and the spread at"
     " 100 µs is about twice that of the longer exposures.",
-    ((4.4, 9.5),) * 3,
+    (_find_printed_range("contrast"),) * 3,
 )
 MAXIMUM = MetricPlot(
     "maximum",
@@ -270,7 +282,7 @@ MAXIMUM = MetricPlot(
     "Largest reading of a crop",
     "In print every measured mean exceeds 800 DN and all of them lie within 6 DN, over angles and exposures alike; the"
     " simulation is at most 43 DN off at 100 µs, below 8 DN at the longer two.",
-    ((800.0, 806.0),) * 3,
+    ((SMALLEST_MAXIMUM, SMALLEST_MAXIMUM + PRINTED_BY_NAME["maximum_spread"]),) * 3,
 )
 AMPLITUDE = MetricPlot(
     "amplitude",
@@ -278,7 +290,7 @@ AMPLITUDE = MetricPlot(
     "Peak of the fitted Gaussian above its offset",
     "In print the fitted amplitudes are 839 to 924 DN at 100 µs with a spread of up to 227 DN, and 992 to 1062 DN with"
     " at most 51 DN at the longer two.",
-    ((839.0, 924.0), (992.0, 1062.0), (992.0, 1062.0)),
+    (_find_printed_range("amplitude_short"), *(_find_printed_range("amplitude_long"),) * 2),
 )
 MEAN_WIDTH = MetricPlot(
     "sigma_mean",
@@ -287,8 +299,7 @@ MEAN_WIDTH = MetricPlot(
     "In print the spreads are 1 to 4 px and measured means lie within 2 px of the simulation from 0° to 90°; they rise"
     " from 45° to 90° and drop to 135°, where 100 µs is 4.5 px off. No width is printed: the grey range is that of the"
     " printed p1 ln t + p2 without and with the 1.19 px of the laser's own spot, which the paper leaves open.",
-    # p1 ln t + p2 with p1 = 2.48 px and p2 = 34.55 px, and 1.19 px more.
-    ((11.71, 12.90), (15.70, 16.89), (17.16, 18.35)),
+    tuple((width, width + LASER_PX) for width in PRINTED_WIDTHS_PX),
 )
 TOTAL = MetricPlot(
     "sum",

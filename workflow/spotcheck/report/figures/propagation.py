@@ -9,12 +9,10 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.io.number_text import quantity_text
+from spotcheck.paper.rivals.summaries import PRINTED_BY_NAME
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results
-
-# Printed mean and standard deviation of each parameter [px].
-PRINTED = {"p1": (2.48, 0.32), "p2": (34.55, 1.20)}
 
 
 def draw_parameters(results: Results) -> style.Drawing:
@@ -53,7 +51,7 @@ def draw_parameters(results: Results) -> style.Drawing:
         ax.set_ylabel(f"{symbol} / px", color=line.colour)
         ax.tick_params(axis="y", colors=line.colour)
         if results.has_paper_design():
-            printed, printed_sd = PRINTED[name]
+            printed, printed_sd = PRINTED_BY_NAME[name], PRINTED_BY_NAME[f"{name}_sd"]
             ax.axhspan(printed - printed_sd, printed + printed_sd, facecolor=line.colour, alpha=0.12, zorder=0.5)
     style.add_legend(figure, handles, labels, 2)
     other_estimators = [str(name) for name in calibration["estimator"].values if name != used]

@@ -21,8 +21,9 @@ from spotcheck.report.figures import style
 
 # Content of rival_worlds.json by key.
 Record = dict[str, Any]
-# Worlds miss a number at p-values below these; the colours stand for p ≥ 0.05, 0.01 to 0.05 and < 0.01.
-P_LIMITS = (0.0, 0.01, 0.05, 1.0)
+# A world misses a number at p-values below `MISSED_P`. Limits of the colours, from low p-values to high ones.
+MISSED_P = 0.05
+P_LIMITS = (0.0, 0.01, MISSED_P, 1.0)
 P_COLOURS = ("#E69F00", "#F7DFA8", "white")
 # Ratios below this one are shares, which are written in per cent.
 LARGEST_SHARE = 0.1
@@ -103,7 +104,7 @@ def draw_held_out(record: Record) -> style.Drawing:
     ax.tick_params(length=0, top=True, labeltop=True, bottom=False, labelbottom=False)
     ax.invert_yaxis()
     ax.grid(False)
-    missed = ", ".join(f"{name} {int((p_values[:, j] < P_LIMITS[2]).sum())}" for j, name in enumerate(worlds))
+    missed = ", ".join(f"{name} {int((p_values[:, j] < MISSED_P).sum())}" for j, name in enumerate(worlds))
     caption = (
         "Held-out numbers: print, and mean ± standard deviation of each world over realisations of the experiment."
         " Orange: a world misses the print (two-sided p below 0.01; pale: below 0.05)."
@@ -134,15 +135,10 @@ def draw_scores(record: Record) -> style.Drawing:
     gain_ax.tick_params(labelleft=False)
     columns = [*worlds, "cannot tell"]
     counts = np.array([[record["recovery"][name][column] for column in columns] for name in worlds])
-    table_ax.pcolormesh(counts, cmap="Blues", vmin=0, vmax=1.6 * max(counts.max(), 1), edgecolors="0.85", linewidth=0.6)
-    for i, row in enumerate(counts):
-        for j, count in enumerate(row):
-            _write_cell(table_ax, j, i, str(count))
-    table_ax.set_yticks([])
-    table_ax.set_xticks(np.arange(len(columns)) + 0.5, columns, rotation=60, ha="right", rotation_mode="anchor")
+    _shade_table(table_ax, counts, columns, vmin=0, vmax=1.6 * max(counts.max(), 1))
+    for (i, j), count in np.ndenumerate(counts):
+        _write_cell(table_ax, j, i, str(count))
     table_ax.set(title=f"named, of {counts[0].sum()} sets of a world")
-    table_ax.invert_yaxis()
-    table_ax.grid(False)
     preferred = record["preferred"]
     caption = (
         "Left: predictive log score of the held-out numbers, relative to the best world; dashed: a factor of"
@@ -186,14 +182,10 @@ def draw_experiments(record: Record) -> style.Drawing:
             ax.tick_params(labelleft=False)
     table_ax = figure.add_subplot(grid[3])
     frames = np.array(record["frames_to_separate"])
-    table_ax.pcolormesh(np.log10(np.maximum(frames, 1)), cmap="Blues", vmax=4, edgecolors="0.85", linewidth=0.6)
+    _shade_table(table_ax, np.log10(np.maximum(frames, 1)), list(worlds), vmax=4)
     for i, j in np.argwhere(~np.eye(len(worlds), dtype=bool)):
         _write_cell(table_ax, int(j), int(i), f"{frames[i, j]:.0f}" if np.isfinite(frames[i, j]) else "∞")
-    table_ax.set_yticks([])
-    table_ax.set_xticks(np.arange(len(worlds)) + 0.5, list(worlds), rotation=60, ha="right", rotation_mode="anchor")
     table_ax.set_title("frames to separate two", fontsize=8.5)
-    table_ax.invert_yaxis()
-    table_ax.grid(False)
     caption = (
         "Predictions of the worlds for short exposures and for a neutral-density filter, mean ± standard deviation of a"
         f" frame. Right: frames of each world whose means differ by {SEPARATION:.0f} standard errors in the best of the"
@@ -223,6 +215,15 @@ def _choose_row_unit(summary: Record) -> tuple[float, str]:
         return 100.0, style.axis_label(name, "%")
     divisor, power_text = style.choose_power_of_ten(summary["printed"])
     return 1 / divisor, style.axis_label(name, power_text + summary["unit"] if summary["unit"] != "1" else "")
+
+
+def _shade_table(ax: Axes, values: np.ndarray, columns: Sequence[str], **limits: Any) -> None:
+    """Draw a table whose cells are shaded by their values [row, column]; `limits` are those of the shades."""
+    ax.pcolormesh(values, cmap="Blues", edgecolors="0.85", linewidth=0.6, **limits)
+    ax.set_yticks([])
+    ax.set_xticks(np.arange(len(columns)) + 0.5, columns, rotation=60, ha="right", rotation_mode="anchor")
+    ax.invert_yaxis()
+    ax.grid(False)
 
 
 def _write_cell(ax: Axes, column: int, row: int, text: str, **attributes: Any) -> None:
