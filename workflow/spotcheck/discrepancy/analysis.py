@@ -12,7 +12,7 @@ frame. A free shape is a light shape whose values at nodes are fitted. A clip is
 a level. A `FieldEstimate` has the relative `variance` of a random field, its `stderr`, and `reasons` against the field.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -21,6 +21,7 @@ import numpy as np
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z, PARAMETER_PRICE
 from spotcheck.discrepancy.evaluation import LEAST_VARIANCE
+from spotcheck.discrepancy.evidence import add_error_of_nodes
 from spotcheck.discrepancy.field_noise import covariance_by_field
 from spotcheck.discrepancy.fields import (
     FieldEstimate,
@@ -48,6 +49,7 @@ from spotcheck.discrepancy.named_scatter import (
     white_noise,
 )
 from spotcheck.discrepancy.nested_models import LIGHT_SHAPE, FittedParts, ValidatedChain, build_chain, validate_chain
+from spotcheck.discrepancy.refits import Log
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
@@ -79,8 +81,6 @@ COMPONENTS = {
     "site brightness": (Stage.BRIGHTNESS, Scope.SITE),
     "site width": (Stage.WIDTH, Scope.SITE),
 }
-
-Log = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def analyse_frames(
     effects : sequence of Effect
         Effects to search for.
     log : callable
-        Receives lines of text on the progress.
+        Receives lines of text.
     """
     progress.begin_step("fitting the declared model", 0.0, 0.1)
     prepared = prepare_frames(frames, spots, setting)
@@ -172,10 +172,10 @@ def analyse_frames(
         analysis = examine(prepared, selected, [e for e in effects if e.name not in withdrawn], log)
         refuted = analysis.validated.refuted() if analysis.validated else ()
         log(f"refuted by held-out frames: {', '.join(refuted) or 'nothing'}")
-        # Only effects are withdrawn: a refuted light shape stays in the fit.
-        refuted_effects = tuple(name for name in refuted if name != LIGHT_SHAPE)
+        refuted_effects = tuple(name for name in refuted if name != LIGHT_SHAPE)  # A refuted shape stays in the fit.
         if not refuted_effects:
-            return replace(analysis, withdrawn=withdrawn)
+            selected = replace(selected, covariance=add_error_of_nodes(selected.covariance, selected.fit))
+            return replace(analysis, selected=selected, withdrawn=withdrawn)
         withdrawn = (*withdrawn, *refuted_effects)
         selected = withdraw_effects(selected, withdrawn, prepared.scales, log)
 

@@ -40,8 +40,9 @@ SPOT_STEP, PARAMETER_STEP = 1e-6, 1e-5
 # Least value that a step is relative to, as a part of the parameter's range.
 LEAST_SCALE = 1e-3
 # Smallest variance [DN²] of a reading in the likelihood: one reading in 60 is off by 1. It is a constant, since a fit
-# would adapt the read noise to a floor that depends on it. FLOOR_EXPONENT is n in `_moments_of`.
-LEAST_VARIANCE, FLOOR_EXPONENT = 0.2 * ROUNDING_VARIANCE, 12
+# would adapt the read noise to a floor that depends on it. FLOOR_EXPONENT is n in `_moments_of`. Variances of
+# FLOOR_REACH times the floor differ from it by less than the rounding of numbers.
+LEAST_VARIANCE, FLOOR_EXPONENT, FLOOR_REACH = 0.2 * ROUNDING_VARIANCE, 12, 20.0
 # Threads that evaluate batches.
 THREADS = min(os.cpu_count() or 1, 2)
 # Stages whose effects change readings other than through the light.
@@ -226,6 +227,8 @@ def _moments_of(
         # A mixture of two distributions also has the variance of their means.
         mixture[1] = mixture[1] + low_weight * high_weight * (above.mean - below.mean) ** 2
         moments = ReadingMoments(*mixture)
+    if np.min(moments.variance) > FLOOR_REACH * LEAST_VARIANCE:
+        return inputs.distribution, moments
     n = FLOOR_EXPONENT
     variance = LEAST_VARIANCE * ((moments.variance / LEAST_VARIANCE) ** n + 1) ** (1 / n)
     slope = moments.variance_slope * (moments.variance / variance) ** (n - 1)

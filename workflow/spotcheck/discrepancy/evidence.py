@@ -10,7 +10,7 @@ unknown. A `JointFit` has the fitted `model`, its `pixels`, the normal `equation
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +44,8 @@ LEAST_CELL_SHARE = 1e-4
 CERTAIN = 1e4
 # Effort of a fit without an effect: its −2 ln L must be known to about 1.
 WITHOUT_TOLERANCE, WITHOUT_ITERATIONS = 0.3, 12
+# Factor by which the nodes of a free shape move apart for the error that their distance causes, and effort of the fits.
+COARSER, COARSE_TOLERANCE, COARSE_ITERATIONS = 1.4, 0.1, 12
 # Added to the badness of an effect without evidence: more than any inconsistency.
 NO_EVIDENCE = 1e3
 # Smallest denominator of a ratio that may be 0.
@@ -144,6 +146,24 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
         if parameter.effect and rounded_parameter(fit.model.effect_named(parameter.effect)) == parameter.name:
             covariance[k, k] += ROUNDING_VARIANCE
     return covariance
+
+
+def add_error_of_nodes(covariance: np.ndarray, fit: JointFit) -> np.ndarray:
+    """Return a covariance [fitted, fitted] with the error that the nodes of a free shape cause by their distance.
+
+    The error of a parameter is its change when the nodes lie `COARSER` times farther apart. All sites, sectors and
+    conditions share it, so that no division into clusters shows it. Both fits are to the same thinned pixels, so that
+    noise cancels. Without a free shape the covariance is returned as it is.
+    """
+    model = fit.model
+    if model.grid is None or not model.effect_names:
+        return covariance
+    thin = thin_pixels(fit.pixels)
+    fine = fit_jointly(model, thin, tolerance=COARSE_TOLERANCE, iterations=COARSE_ITERATIONS).model
+    start = fine.with_free_shape(replace(model.grid, step=COARSER * model.grid.step))
+    coarse = fit_jointly(start, thin, tolerance=COARSE_TOLERANCE, iterations=COARSE_ITERATIONS).model
+    change = [coarse.value_of(parameter) - fine.value_of(parameter) for parameter in model.free]
+    return covariance + np.diag(np.square(change))
 
 
 def assess_effect(
@@ -266,8 +286,9 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
     # The same steps of the coefficients of a free shape [coefficient, target].
     coefficients = None
     if equations.shape is not None:
-        cross = equations.shape.cross
-        coefficients = equations.shape.factor.back_solve(cross[:, targets] - cross[:, others] @ steps[others])
+        moves = -steps
+        moves[targets, np.arange(len(targets))] = 1.0
+        coefficients = equations.shape.factor.back_solve(equations.shape.add_up(moves))
 
     def sum_batch(batch: slice) -> list[tuple[np.ndarray, ...]]:
         """Return, for each division, the clusters of a batch and their three sums; see `_merge`."""

@@ -215,9 +215,12 @@ class LawSearch:
             whitened = self.whitening @ jacobian
             step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=STEP_RCOND)[0]
             has_converged = bool(np.sum((whitened @ step) ** 2) < TOLERANCE)
-            model = self._descend(model, names, step)
-            if has_converged:
+            moved = self._descend(model, names, step)
+            # Where no step lowers χ² the next one would be the same.
+            if has_converged or moved is model:
+                model = moved
                 break
+            model = moved
         mean, jacobian = self._linearize(model, names)
         residual, whitened = self.observations - mean, self.whitening @ jacobian
         chi2 = self._chi2_of(model)

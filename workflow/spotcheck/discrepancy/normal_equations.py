@@ -51,10 +51,14 @@ class ShapePart:
     others_cross: np.ndarray  # L⁻¹C of the fitted parameters of sensor and effects [coefficient, k]
     score: np.ndarray  # L⁻¹b [coefficient]
 
-    @property
-    def cross(self) -> np.ndarray:
-        """L⁻¹C of all other unknowns [coefficient, n]."""
-        return np.hstack([self.spots_cross, self.others_cross])
+    def add_up(self, values: np.ndarray) -> np.ndarray:
+        """Return L⁻¹C values [coefficient, …] of values of the other unknowns [n, …]."""
+        first = self.spots_cross.shape[1]
+        return self.spots_cross @ values[:first] + self.others_cross @ values[first:]
+
+    def project(self, half: np.ndarray) -> np.ndarray:
+        """Return (L⁻¹C)' half [n, …] of half-solved values of the coefficients [coefficient, …]."""
+        return np.concatenate([self.spots_cross.T @ half, self.others_cross.T @ half])
 
 
 @dataclass(frozen=True)
@@ -102,7 +106,7 @@ class NormalEquations:
     def shape_step(self, step: np.ndarray) -> np.ndarray:
         """Return the best step of the shape's coefficients [coefficient] for a step of the other unknowns [n]."""
         assert self.shape is not None
-        return self.shape.factor.back_solve((self.shape.score - self.shape.cross @ step)[:, None])[:, 0]
+        return self.shape.factor.back_solve((self.shape.score - self.shape.add_up(step))[:, None])[:, 0]
 
     def decrements(self, step: np.ndarray, fixed: np.ndarray) -> tuple[float, float]:
         """Return the Newton decrements [−2 ln L] of all unknowns, and of the fitted parameters beside the spots.
@@ -203,7 +207,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     spots_others = shape.spots_cross.T @ shape.others_cross
     schur = np.block([[shape.spots_schur, spots_others], [spots_others.T, shape.others_cross.T @ shape.others_cross]])
     beside_shape = information - schur + gauge_information(model, information)
-    gradient = gradient - shape.cross.T @ shape.score
+    gradient = gradient - shape.project(shape.score)
     deviance += float(coefficients @ penalty)
     return NormalEquations(beside_shape, gradient, np.diag(information), deviance, dispersion, frames, shape)
 

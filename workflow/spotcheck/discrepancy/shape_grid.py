@@ -94,8 +94,8 @@ class BlockFactor:
     ----------
     grid : ShapeGrid
         Nodes of the shape, with the penalty.
-    band : array [row, coefficient]
-        Information from the pixels, in the form of `spline_basis.add_information`.
+    band : array [diagonal, coefficient]
+        Information from the pixels, in the form of `ShapeSums.band`.
     share : float
         Part of the penalty that is added to it: 1, or the share of a subset of the pixels.
     """
@@ -133,8 +133,9 @@ class BlockFactor:
         row = k + offset - block * self._size
         is_inside = row < self._size
         is_below = ~is_inside
-        np.add.at(self._diagonal, (block[is_inside], row[is_inside], column[is_inside]), values[k[is_inside]])
-        np.add.at(self._below, (block[is_below], row[is_below] - self._size, column[is_below]), values[k[is_below]])
+        # No place occurs twice, so that the sums of indexed arrays are complete.
+        self._diagonal[block[is_inside], row[is_inside], column[is_inside]] += values[k[is_inside]]
+        self._below[block[is_below], row[is_below] - self._size, column[is_below]] += values[k[is_below]]
 
     def half_solve(self, right: np.ndarray) -> np.ndarray:
         """Return L⁻¹ right [coefficient, k] of right-hand sides [coefficient, k]."""

@@ -83,12 +83,15 @@ class ShapeSums:
         add_products(self._per_step, self.nodes, u, v, factor, columns, sums)
 
     def band(self) -> np.ndarray:
-        """Return the information of the coefficients as a band; see `spline_basis.add_information`."""
-        band = np.zeros(((NEIGHBOURS + 1) * (2 * NEIGHBOURS + 1), self.nodes**2))
+        """Return the information of the coefficients as a band [diagonal, coefficient].
+
+        It is the transposed band of `spline_basis.add_information`.
+        """
+        band = np.zeros((self.nodes**2, (NEIGHBOURS + 1) * (2 * NEIGHBOURS + 1)))
         u, v, factor = self.strongest
         weight = self._evaluation.light_information.reshape(factor.shape) * factor**2
         add_information(self._per_step, self.nodes, u.ravel(), v.ravel(), weight.ravel(), band)
-        return band
+        return np.ascontiguousarray(band.T)
 
     def values(self, coefficients: np.ndarray) -> np.ndarray:
         """Return changes of the light [k, frame, h, w; DN] by changes of the coefficients [coefficient, k]."""

@@ -62,10 +62,10 @@ def add_values(per_step, nodes, u, v, factor, coefficients, values):
 
 @compiled
 def add_information(per_step, nodes, u, v, weight, band):
-    """Add Σ over points of weight · basis · basis' to `band` [(NEIGHBOURS + 1) (2 NEIGHBOURS + 1), coefficient].
+    """Add Σ over points of weight · basis · basis' to `band` [coefficient, (NEIGHBOURS + 1) (2 NEIGHBOURS + 1)].
 
-    u, v, weight [point]. The matrix is symmetric: for coefficient k, row dj (2 NEIGHBOURS + 1) + di + NEIGHBOURS of the
-    band holds the information with the coefficient dj rows and di columns further, dj ≥ 0.
+    u, v, weight [point]. The matrix is symmetric: for coefficient k, column dj (2 NEIGHBOURS + 1) + di + NEIGHBOURS of
+    the band holds the information with the coefficient dj rows and di columns further, dj ≥ 0.
     """
     middle = (nodes - 1) / 2
     for n in range(u.size):
@@ -77,10 +77,10 @@ def add_information(per_step, nodes, u, v, weight, band):
         for q in range(SPLINES):
             for p in range(SPLINES):
                 product = weight[n] * row_weights[q] * column_weights[p]
-                index = (row + q - 1) * nodes + column + p - 1
+                of_coefficient = band[(row + q - 1) * nodes + column + p - 1]
                 for dq in range(SPLINES - q):
-                    for p_other in range(SPLINES):
-                        if dq > 0 or p_other >= p:
-                            band[dq * (2 * NEIGHBOURS + 1) + p_other - p + NEIGHBOURS, index] += (
-                                product * row_weights[q + dq] * column_weights[p_other]
-                            )
+                    factor = product * row_weights[q + dq]
+                    for p_other in range(p if dq == 0 else 0, SPLINES):
+                        of_coefficient[dq * (2 * NEIGHBOURS + 1) + p_other - p + NEIGHBOURS] += (
+                            factor * column_weights[p_other]
+                        )

@@ -24,6 +24,9 @@ ROOT = PACKAGE.parent
 # Packages whose versions the sidecar file states.
 VERSIONED_PACKAGES = ("numpy", "scipy", "xarray", "netCDF4", "scikit-image", "matplotlib")
 
+# Fields of the nodes of a syntax tree that hold lists of statements, or of nodes with such a list.
+STATEMENT_BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
+
 
 @cache
 def list_imports(path: Path, root: Path = ROOT) -> set[str]:
@@ -42,13 +45,14 @@ def list_notebook_imports(path: Path, root: Path = ROOT) -> list[str]:
 
 
 def walk_executed(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yield all nodes of a syntax tree except those below `if TYPE_CHECKING:`, which never run."""
+    """Yield all statements of a syntax tree except those below `if TYPE_CHECKING:`, which never run."""
     yield tree
-    children: Iterable[ast.AST] = ast.iter_child_nodes(tree)
+    blocks: Iterable[str] = STATEMENT_BLOCKS
     if isinstance(tree, ast.If) and ast.unparse(tree.test) == "TYPE_CHECKING":
-        children = tree.orelse
-    for node in children:
-        yield from walk_executed(node)
+        blocks = ("orelse",)
+    for block in blocks:
+        for statement in getattr(tree, block, ()):
+            yield from walk_executed(statement)
 
 
 def _find_module_file(module: str, root: Path) -> Path | None:

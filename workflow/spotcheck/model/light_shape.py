@@ -33,10 +33,14 @@ class LightShape:
 
     def __call__(self, u, v) -> np.ndarray:
         """Return s [1] at u, v [σ], arrays that broadcast."""
-        u, v = np.broadcast_arrays(np.asarray(u, float), np.asarray(v, float))
-        values = np.empty(u.size)
-        fill_spline(self.coefficients, 1 / self.step, np.ravel(u), np.ravel(v), values)
-        values = values.reshape(u.shape)
+        u, v = np.asarray(u, float), np.asarray(v, float)
+        values = np.empty(np.broadcast_shapes(u.shape, v.shape))
+        if u.ndim == v.ndim == 3 and u.shape[1] == v.shape[2] == 1 and len(u) == len(v):
+            # Pixels of unturned frames [frame, row, column]: u depends on the column alone, v on the row.
+            fill_spline_of_frames(self.coefficients, 1 / self.step, u[:, 0], v[:, :, 0], values)
+        else:
+            u_of_point, v_of_point = (np.ravel(np.broadcast_to(places, values.shape)) for places in (u, v))
+            fill_spline(self.coefficients, 1 / self.step, u_of_point, v_of_point, values.reshape(-1))
         return values if self.finer is None else values + self.finer(u, v)
 
 
@@ -90,6 +94,44 @@ def fill_spline(coefficients, steps_per_sigma, u, v, values):
             for p in range(max(0, 1 - column), min(4, nodes + 1 - column)):
                 total += column_weights[p] * coefficients[row + q - 1, column + p - 1]
             values[k] += row_weights[q] * total
+
+
+@compiled
+def fill_spline_of_frames(coefficients, steps_per_sigma, u, v, values):
+    """Write the values [frame, row, column] of a spline at u [frame, column], v [frame, row] in σ into `values`.
+
+    `coefficients` and `steps_per_sigma` are those of `fill_spline`, whose weighted sum over rows is here taken once for
+    all pixels of a row.
+    """
+    nodes = coefficients.shape[0]
+    middle = (nodes - 1) / 2
+    # Weights of the nodes of each pixel of a row, and sums over rows of nodes: those of node i at i + 3, 0 outside.
+    weights, first = np.zeros((u.shape[1], 4)), np.zeros(u.shape[1], np.int64)
+    sums = np.zeros(nodes + 6)
+    for frame in range(u.shape[0]):
+        for k in range(u.shape[1]):
+            x = u[frame, k] * steps_per_sigma + middle
+            is_inside = -2.0 < x < nodes + 1.0
+            column = math.floor(x) if is_inside else 0
+            first[k] = column + 2
+            for p, weight in enumerate(cubic_weights(x - column)):
+                weights[k, p] = weight if is_inside else 0.0
+        for line in range(v.shape[1]):
+            y = v[frame, line] * steps_per_sigma + middle
+            sums[:] = 0.0
+            if -2.0 < y < nodes + 1.0:
+                row = math.floor(y)
+                for q, weight in enumerate(cubic_weights(y - row)):
+                    if 0 <= row + q - 1 < nodes:
+                        sums[3 : nodes + 3] += weight * coefficients[row + q - 1]
+            for k in range(u.shape[1]):
+                i = first[k]
+                values[frame, line, k] = (
+                    weights[k, 0] * sums[i]
+                    + weights[k, 1] * sums[i + 1]
+                    + weights[k, 2] * sums[i + 2]
+                    + weights[k, 3] * sums[i + 3]
+                )
 
 
 def read_light(path: str | Path) -> LightShape:

@@ -131,6 +131,35 @@ def integrate_read_noise(signal: np.ndarray, noise_sd: float, edges: np.ndarray)
 
 
 @compiled
+def fill_noisy_moments(signal, noise_sd, edges, nearest, moments):
+    """Fill `moments` [2, signal] with mean [DN] and variance [DN²] of the code of signals with Gaussian read noise.
+
+    They are those of the probabilities of `integrate_read_noise`, whose other arguments are explained there. `nearest`
+    [signal] is the code of each signal without noise. With m this code, the mean is m + Σ_{k≥m} P(code > k) −
+    Σ_{k<m} P(code ≤ k), and the mean of (code − m)² has the weights 2 |k − m| ± 1 in the same sums.
+    """
+    scale = math.sqrt(0.5) / noise_sd
+    farthest = NOISE_SD * math.sqrt(0.5)
+    for i in range(signal.size):
+        middle, shift, square = nearest[i], 0.0, 0.0
+        for k in range(middle, edges.size):
+            distance = (edges[k] - signal[i]) * scale
+            if distance > farthest:
+                break
+            above = 0.5 * math.erfc(distance)
+            shift += above
+            square += (2 * (k - middle) + 1) * above
+        for k in range(middle - 1, -1, -1):
+            distance = (signal[i] - edges[k]) * scale
+            if distance > farthest:
+                break
+            below = 0.5 * math.erfc(distance)
+            shift -= below
+            square += (2 * (middle - k) - 1) * below
+        moments[0, i], moments[1, i] = middle + shift, square - shift**2
+
+
+@compiled
 def sum_over_electrons(mean_e, lowest_count, first, band, first_code, probability, slope):
     """Add Σ_n Poisson(n | ν) band(n, code) to `probability`, and the derivative of this sum by ν to `slope`.
 

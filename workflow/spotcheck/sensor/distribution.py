@@ -26,6 +26,7 @@ from spotcheck.sensor.codes import (
     NOISE_SD,
     CodeProbabilities,
     Cumulants,
+    fill_noisy_moments,
     find_possible_counts,
     integrate_read_noise,
     sum_over_electrons,
@@ -42,8 +43,6 @@ Transfer = Callable[[np.ndarray], np.ndarray]
 
 # Steps of the bisection that inverts a response. Each halves the interval, so that 80 reach the floating-point limit.
 BISECTIONS = 80
-# Number of signals for which moments are computed at a time, which limits memory.
-SIGNALS_PER_BATCH = 8192
 # Number of pixels from which on `sample` is faster with tables.
 FEWEST_FOR_TABLES = 4096
 # Step of the finite difference by the mean electrons for negative light, in standard deviations of the read noise.
@@ -339,15 +338,15 @@ class ReadingDistribution:
 
     def _moments_given_signal(self, signal: np.ndarray) -> np.ndarray:
         """Return mean [DN] and variance [DN²] of a reading given its signal before read noise [2, signal]."""
-        moments = np.empty((2, signal.size))
-        for start in range(0, signal.size, SIGNALS_PER_BATCH):
-            part = slice(start, start + SIGNALS_PER_BATCH)
-            first, band = self._pmf_given_signal(signal[part])
-            column = np.arange(band.shape[1])
-            # Relative to the first code.
-            mean = band @ column
-            moments[0, part] = first + mean
-            moments[1, part] = np.sum(band * (column - mean[:, None]) ** 2, axis=1)
+        moments = np.zeros((2, signal.size))
+        if signal.size == 0:
+            return moments
+        lowest, edges = self._find_code_edges(signal)
+        if self.noise_dn == 0:
+            moments[0] = self._code_without_noise(signal, lowest, edges)
+            return moments
+        fill_noisy_moments(signal, self.noise_dn, edges, np.searchsorted(edges, signal), moments)
+        moments[0] += lowest
         return moments
 
     def _probabilities_below_zero(self, mean_e: np.ndarray) -> CodeProbabilities:
@@ -369,10 +368,13 @@ class ReadingDistribution:
         """
         lowest, edges = self._find_code_edges(signal)
         if self.noise_dn == 0:
-            codes = np.clip(np.rint(self.converter_signal(signal)), lowest, lowest + edges.size).astype(np.int64)
-            return codes, np.ones((signal.size, 1))
+            return self._code_without_noise(signal, lowest, edges).astype(np.int64), np.ones((signal.size, 1))
         first, band = integrate_read_noise(signal, self.noise_dn, edges)
         return first + lowest, band
+
+    def _code_without_noise(self, signal: np.ndarray, lowest: int, edges: np.ndarray) -> np.ndarray:
+        """Return the code [signal] of signals [signal] in DN without read noise, from those of `_find_code_edges`."""
+        return np.clip(np.rint(self.converter_signal(signal)), lowest, lowest + edges.size)
 
     def _find_code_edges(self, signal: np.ndarray) -> tuple[int, np.ndarray]:
         """Return the lowest code of signals [signal] in DN with read noise, and the upper ends of the codes.
