@@ -10,7 +10,7 @@ functions of the light.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -20,8 +20,9 @@ from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions
 from spotcheck.model.effect import AppliedEffect, AppliedStep, RandomStep, Scope, Step
 from spotcheck.model.light import NOTHING_DRAWN, Drawn, ExposureLaw, Light, LightStages
+from spotcheck.model.pixel_offsets import moments_with_offsets
 from spotcheck.model.stage import Stage
-from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
+from spotcheck.sensor import ReadingDistribution, ReadingMoments, ReadingTable, SensorModel
 
 # Random steps at these stages are averaged in the tables of readings, as their draws differ from pixel to pixel.
 TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
@@ -36,15 +37,6 @@ EVEN_DIGITS = 9
 # Relative steps of central differences: for parameters of the light, and for those of the sensor, where interpolated
 # tables need a larger step.
 LIGHT_STEP, SENSOR_STEP = 1e-5, 1e-3
-# Least dark noise [DN] with which rounding is negligible: the mean reading is linear in an offset to 1e-4 DN.
-HIDDEN_ROUNDING = 0.7
-# Distance [standard deviations] of readings from the ends of the converter from which on these have no influence.
-FAR_FROM_ENDS = 4.5
-# Distance of the tables between which offsets of pixels are interpolated: this part of the noise in the dark, and at
-# least so much [DN].
-OFFSET_STEP, LEAST_OFFSET_STEP_DN = 1 / 4, 1e-3
-# Nodes of the cubic through four neighbouring tables: an offset lies between nodes 0 and 1.
-CUBIC_NODES = (-1, 0, 1, 2)
 # Least variance of readings of granular light, over that without offsets: a guard of the sum of two corrections.
 LEAST_VARIANCE_SHARE = 0.1
 # Least scale of the step in a central difference: for a parameter of an effect, and for one of the law or the frame,
@@ -339,67 +331,6 @@ class ForwardModel(LightStages):
             scale = frame.exposure_s
         step = relative_step * scale
         return (evaluate(value + step) - evaluate(value - step)) / (2 * step)
-
-
-def moments_with_offsets(
-    distribution: ReadingDistribution, light: np.ndarray, smear_e=0.0, offset_dn=0.0
-) -> ReadingMoments:
-    """Return mean and variance of readings and their slopes, each in the shape of the light.
-
-    Parameters
-    ----------
-    distribution : ReadingDistribution
-        Distribution of a reading as a function of its light, for a pixel without offset.
-    light : array [row, column]
-        Light of each pixel [DN].
-    smear_e : float or array that broadcasts
-        Electrons without shot noise that are added to each pixel [e-].
-    offset_dn : float or array that broadcasts
-        Offset of each pixel in addition to the black level [DN]. A number is ignored, as it is part of the black level.
-
-    Notes
-    -----
-    Far from both ends of the converter, and with noise that makes rounding negligible, an offset adds to the mean. Else
-    tables for equidistant offsets are interpolated by cubics, since rounding and black clipping depend on where a
-    signal lies between whole numbers.
-    """
-    highest = float(np.max(light)) + distribution.sensor.gain_dn_per_e * float(np.max(smear_e))
-    if np.ndim(offset_dn) == 0:
-        return distribution.tabulate(highest).moments(light, smear_e)
-    if not distribution.digital and distribution.noise_dn > HIDDEN_ROUNDING:
-        without = distribution.tabulate(highest).moments(light, smear_e)
-        mean, margin = without.mean + offset_dn, FAR_FROM_ENDS * np.sqrt(np.maximum(without.variance, 0.0))
-        if np.min(mean - margin) > 0 and np.max(mean + margin) < distribution.sensor.full_scale_dn:
-            return without._replace(mean=mean)
-    offset_dn = np.broadcast_to(offset_dn, np.shape(light))
-    step = max(np.sqrt(distribution.noise_dn**2 + ROUNDING_VARIANCE) * OFFSET_STEP, LEAST_OFFSET_STEP_DN)
-    # Offset of each pixel in steps: its whole number of steps, and the rest.
-    offset_steps = offset_dn / step
-    low = np.floor(offset_steps).astype(int)
-    fraction = offset_steps - low
-    sums = [np.zeros(np.shape(light)) for _ in ReadingMoments._fields]
-    black_level = distribution.sensor.black_level_dn
-    # One table for each whole number of steps. It contributes to the pixels for which it is one of `CUBIC_NODES`.
-    for node in range(int(low.min()) + CUBIC_NODES[0], int(low.max()) + CUBIC_NODES[-1] + 1):
-        distance = node - low
-        is_near = (distance >= CUBIC_NODES[0]) & (distance <= CUBIC_NODES[-1])
-        shifted = replace(distribution, sensor=replace(distribution.sensor, black_level_dn=black_level + node * step))
-        smear = np.broadcast_to(smear_e, np.shape(light))[is_near]
-        moments = shifted.tabulate(highest).moments(light[is_near], smear)
-        weight = _lagrange(fraction[is_near], distance[is_near])
-        for total, values in zip(sums, moments, strict=True):
-            total[is_near] += weight * values
-    return ReadingMoments(*sums)
-
-
-def _lagrange(fraction: np.ndarray, node: np.ndarray) -> np.ndarray:
-    """Return the Lagrange weight [pixel] of a node in the cubic through `CUBIC_NODES`.
-
-    `node` [pixel] is one of `CUBIC_NODES`; the cubic is evaluated at `fraction` [pixel] of a step beyond node 0.
-    """
-    # The factor of the node itself is 1, with a divisor that is not 0.
-    factors = [np.where(node == k, 1.0, (fraction - k) / np.where(node == k, 1, node - k)) for k in CUBIC_NODES]
-    return reduce(np.multiply, factors)
 
 
 @lru_cache(maxsize=16)
