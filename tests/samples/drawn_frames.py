@@ -47,6 +47,10 @@ class DrawnLight:
     pedestal_dn: float = 0.0  # uniform light below the spot [DN]
     speckle_contrast: float = 0.0  # relative standard deviation of a field that is new at each site
     grain_px: float = 1.0  # its grain: the correlation is exp(−d²/2 grain²) [px]
+    # Stripes of the light: relative depth, period [px], direction across them [deg], and whether their phase is drawn
+    # for each site or is 0 at pixel (0, 0) of the sensor.
+    stripes: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    has_new_stripes: bool = True
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,9 @@ def draw_frames(
         hot[row, column] = offset_dn
     peak_dn, sigma_px = follow_law(conditions)
     peak_dn = peak_dn * peak_factor
+    depth, period_px, direction_deg = light.stripes
+    phases = 2 * np.pi * rng.random(sites) if depth else np.zeros(sites)
+    across = np.array([np.cos(np.deg2rad(direction_deg)), np.sin(np.deg2rad(direction_deg))]) / period_px
     left, top = corners[conditions.site, 0], corners[conditions.site, 1]
     x0, y0 = centres[conditions.site, 0], centres[conditions.site, 1]
     readings = []
@@ -146,6 +153,8 @@ def draw_frames(
         dy = np.arange(top[frame], top[frame] + SIDE)[:, None] - y0[frame]
         spot = peak_dn[frame] * ellipse(dx / sigma_px[frame], dy / sigma_px[frame], light)
         spot = spot * np.maximum(grains[conditions.site[frame]][part], 0.0)
+        phase = phases[conditions.site[frame]] if light.has_new_stripes else 2 * np.pi * across @ (x0[frame], y0[frame])
+        spot = spot * (1 + depth * np.cos(2 * np.pi * (dx * across[0] + dy * across[1]) + phase))
         mean_e = (spot + light.pedestal_dn) * np.maximum(gains[part], 0.0) / GAIN
         signal = np.minimum(GAIN * rng.poisson(mean_e), camera.clip_dn)
         signal = signal + GAIN * camera.read_noise_e * rng.standard_normal((SIDE, SIDE))

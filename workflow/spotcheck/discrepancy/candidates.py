@@ -9,8 +9,9 @@ nodes are fitted, in place of the declared shape of the instrument. A candidate 
 light is a random field in the light that neighbouring pixels share.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from spotcheck.discrepancy.joint_fit import JointFit, JointModel
 from spotcheck.discrepancy.normal_equations import solve_positive
 from spotcheck.discrepancy.shape_grid import HALF_WIDTH
 from spotcheck.discrepancy.shape_sums import ShapeSums
+from spotcheck.discrepancy.site_draws import list_site_variants, start_draws
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep
 from spotcheck.model.stage import Stage
 
@@ -65,6 +67,7 @@ class Candidate:
     # Part of the readings' variance that is due to granular light, averaged with the information on the strength as
     # weight. Candidates behind the first `MOST_FIELD_SHARES` have the average over the information on the light.
     field_share: float
+    draws: int = 0  # number of values that the variant draws at the sites, which are fitted as well
 
 
 def changes_mean_image(effect: Effect) -> bool:
@@ -77,8 +80,18 @@ def changes_mean_image(effect: Effect) -> bool:
     return bool(steps) and not is_law and not all(isinstance(step, RandomStep) for step in steps)
 
 
-def list_starts(effects: Sequence[Effect], scales: EffectScales) -> list[AppliedEffect]:
-    """Return the distinct starting points of all variants of effects that draw no random numbers.
+def list_fixed_variants(effect: Effect) -> list[Enum]:
+    """Return the variants of an effect that draw no random numbers."""
+    variants = effect.variants.items()
+    return [variant for variant, steps in variants if not any(isinstance(step, RandomStep) for step in steps)]
+
+
+def list_starts(
+    effects: Sequence[Effect],
+    scales: EffectScales,
+    variants_of: Callable[[Effect], Sequence[Enum]] = list_fixed_variants,
+) -> list[AppliedEffect]:
+    """Return the distinct starting points of variants of effects, by default of those that draw no random numbers.
 
     Values are clipped to the bounds; parameters that a variant does not have are NaN.
     """
@@ -86,9 +99,7 @@ def list_starts(effects: Sequence[Effect], scales: EffectScales) -> list[Applied
     unique: dict[str, AppliedEffect] = {}
     for effect in effects:
         low, high = effect.bounds(scales).T
-        for variant, steps in effect.variants.items():
-            if any(isinstance(step, RandomStep) for step in steps):
-                continue
+        for variant in variants_of(effect):
             has_parameter = [parameter in effect.parameters_of(variant) for parameter in effect.parameters]
             for values in effect.starts(scales):
                 clipped = np.clip(np.where(has_parameter, values, np.nan), low, high)
@@ -131,6 +142,23 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
     shares = measure_field_shares(fit, [starts[place] for place in places], changes.select(places))
     leading = [replace(c, field_share=float(share)) for c, share in zip(candidates, shares, strict=False)]
     return [*leading, *candidates[len(places) :]]
+
+
+def screen_drawn_variants(fit: JointFit, effects: Sequence[Effect], scales: EffectScales) -> list[Candidate]:
+    """Return the candidates of variants that modulate the light by a draw that is new at each site.
+
+    The draws are estimated first, by start. By noise alone each of them raises the expected drop by about 1, which is
+    subtracted. At a single site other variants have such a draw as a parameter.
+    """
+    sites, candidates = fit.model.design.sites, []
+    if sites == 1:
+        return []
+    for start in list_starts(effects, scales, list_site_variants):
+        design = start_draws(fit.model.with_effect(start, scales), fit.pixels).design
+        with_draws = replace(fit, model=replace(fit.model, design=design))
+        for candidate in screen_candidates(with_draws, [start]):
+            candidates.append(replace(candidate, score=max(candidate.score - sites, 0.0), draws=sites))
+    return candidates
 
 
 def scale_start(start: AppliedEffect, size: float, model: JointModel) -> AppliedEffect | None:
@@ -288,7 +316,8 @@ def is_unresolved_shape(fit: JointFit, candidate: Candidate) -> bool:
     A free shape absorbs any change that is the same in all frames, in units of peak and σ, if its nodes are close
     enough. The rest is the part that differs between frames. A much larger rest means that the nodes are too coarse.
     """
-    if fit.model.grid is None or stages_of(candidate.start) & SENSOR:
+    # What is drawn anew at each site is no shape.
+    if fit.model.grid is None or candidate.draws or stages_of(candidate.start) & SENSOR:
         return False
     return candidate.share > UNRESOLVED * varying_share(fit, candidate.start)
 

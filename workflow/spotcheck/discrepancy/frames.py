@@ -7,6 +7,7 @@ one grain share its noise, so that sums over pixels scatter more than those of i
 the ratio of these variances, 1 without granular light.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -48,6 +49,8 @@ class Design:
     reference_s: float  # geometric mean of the distinct exposures [s]
     has_exposures: bool  # whether exposures were recorded
     has_order: bool  # whether the order of acquisition is known
+    # Estimates of what effects draw anew for each site, such as the phase of stripes, by name of the effect [frame].
+    draws: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def sites(self) -> int:
@@ -57,7 +60,8 @@ class Design:
     def select(self, frames: np.ndarray | slice) -> "Design":
         """Return the conditions of some frames, by index, mask or slice; those of the dataset stay."""
         names = ("exposure_s", "angle", "order", "repeat", "site", "condition")
-        return replace(self, **{name: getattr(self, name)[frames] for name in names})
+        draws = {name: values[frames] for name, values in self.draws.items()}
+        return replace(self, draws=draws, **{name: getattr(self, name)[frames] for name in names})
 
 
 @dataclass(frozen=True)
@@ -200,6 +204,7 @@ def conditions_of(design: Design, spots: FrameParameters, pixels: Pixels) -> Fra
         order=per_frame(design.order),
         peak_dn=per_frame(np.exp(spots.log_peak)),
         sigma_px=per_frame(np.exp(spots.log_sigma)),
+        draws={name: per_frame(values) for name, values in design.draws.items()},
     )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, Pixels
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
 from spotcheck.discrepancy.shape_grid import ShapeGrid
+from spotcheck.discrepancy.site_draws import improve_draws
 from spotcheck.model.effect import AppliedEffect, EffectScales, RandomStep, keyword_names_of
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
@@ -137,6 +138,11 @@ class JointModel:
         if not parameter.effect:
             return getattr(self.forward.sensor, parameter.name)
         return self.effect_named(parameter.effect).parameters[parameter.name]
+
+    def is_at_bound(self, name: str) -> bool:
+        """Return whether a fitted parameter of an effect is at its bound."""
+        parameters = [parameter for parameter in self.free if parameter.effect == name]
+        return any(not parameter.low < self.value_of(parameter) < parameter.high for parameter in parameters)
 
     def effect_named(self, name: str) -> AppliedEffect:
         """Return an effect of the model, which must have one of this name."""
@@ -302,7 +308,7 @@ def _try_steps(
     decrement = equations.promise(equations.solve(0.0, fixed))
     for attempt in range(TRIES):
         step = equations.solve(damping, fixed)
-        trial = _move(model, equations, step_fraction * step, step_fraction)
+        trial = improve_draws(_move(model, equations, step_fraction * step, step_fraction), pixels)
         new = assemble(trial, pixels, None if is_old and attempt == 0 else equations.shape)
         gain = equations.deviance - new.deviance
         is_rounding = decrement < ROUNDING_DECREMENT and gain > -ROUNDING_RISE

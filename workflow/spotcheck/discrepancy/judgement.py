@@ -112,7 +112,7 @@ def write_model_files(dataset: Dataset, judgement: Judgement, status: str, alpha
     # by its misfit.
     models = {BEFORE: final.with_its_sensor(prepared.declared.model)}
     if findings.effects or findings.light is not None:
-        models[AFTER] = final.of_frames(searched, prepared.frames.design)
+        models[AFTER] = final.of_frames(searched, analysis.selected.fit.model.design)
     cells = [ready.indices[frame] for frame in searched]
     pictures = draw_pictures(dataset, cells, prepared.frames, models, findings.detection, status=status, alpha=alpha)
     store.write(pictures, files.pictures, code=code, inputs=inputs)

@@ -237,13 +237,16 @@ def add_static_effect(fit: JointFit, effects: Sequence[Effect], scales: EffectSc
     """Return the fit with the static effect that lowers −2 ln L most, among the leading candidates of score tests.
 
     `effects` are the static effects that `fit` does not contain. None if none lowers −2 ln L by `MIN_GAIN` times the
-    dispersion.
+    dispersion. An effect with a parameter at its bound does not count: it stands for something else, as a halo much
+    larger than the crop stands for a pedestal.
     """
     refits, least_drop = [], MIN_GAIN * fit.pixels.dispersion
     for candidate in screen_candidates(fit, list_starts(effects, scales))[:MOST_STATIC_REFITS]:
         if candidate.score > least_drop:
             model = fit.model.with_effect(candidate.start, scales)
-            refits.append(fit_jointly(model, fit.pixels, tolerance=EVIDENCE_TOLERANCE, iterations=STATIC_ITERATIONS))
+            refit = fit_jointly(model, fit.pixels, tolerance=EVIDENCE_TOLERANCE, iterations=STATIC_ITERATIONS)
+            if not refit.model.is_at_bound(candidate.start.effect.name):
+                refits.append(refit)
     best = min(refits, key=lambda refit: refit.deviance, default=None)
     return best if best is not None and best.deviance < fit.deviance - least_drop else None
 

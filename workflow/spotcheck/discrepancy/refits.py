@@ -13,6 +13,7 @@ from spotcheck.discrepancy.candidates import Candidate, is_unresolved_shape
 from spotcheck.discrepancy.criteria import MIN_GAIN, PARAMETER_PRICE
 from spotcheck.discrepancy.evidence import least_gain
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
+from spotcheck.discrepancy.site_draws import start_draws
 from spotcheck.model.effect import AppliedEffect, EffectScales
 
 # Effort of a refit: Newton decrement of the effects at which it ends, and most iterations.
@@ -43,8 +44,7 @@ class Refit:
     @property
     def is_at_bound(self) -> bool:
         """Whether a parameter of the effect is at its bound, where the variant acts much as another one does."""
-        parameters = [parameter for parameter in self.model.free if parameter.effect == self.effect_name]
-        return any(not parameter.low < self.model.value_of(parameter) < parameter.high for parameter in parameters)
+        return self.model.is_at_bound(self.effect_name)
 
 
 def least_drop_of(candidate: Candidate, present: JointFit) -> float:
@@ -60,7 +60,7 @@ def least_drop_of(candidate: Candidate, present: JointFit) -> float:
 def price_of(candidate: Candidate) -> float:
     """Return the price of a candidate's parameters in −2 ln L."""
     start = candidate.start
-    return PARAMETER_PRICE * len(start.effect.parameters_of(start.variant))
+    return PARAMETER_PRICE * (len(start.effect.parameters_of(start.variant)) + candidate.draws)
 
 
 def refit_candidates(
@@ -111,10 +111,10 @@ def refit_candidates(
 
 def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scales: EffectScales, log: Log) -> Refit:
     """Fit the present model with a candidate to the thinned pixels; `ratio` scales drops to all pixels."""
+    start = start_draws(thinned.model.with_effect(candidate.start, scales), thinned.pixels)
     fit = fit_jointly(
-        thinned.model.with_effect(candidate.start, scales), thinned.pixels, tolerance=REFIT_TOLERANCE,
-        iterations=REFIT_ITERATIONS, rival=thinned.deviance,
-    )  # fmt: skip
+        start, thinned.pixels, tolerance=REFIT_TOLERANCE, iterations=REFIT_ITERATIONS, rival=thinned.deviance
+    )
     drop = (thinned.deviance - fit.deviance) * ratio
     text = describe_start(candidate.start)
     log(f"    {text}: promised {candidate.score * ratio:.0f}, got {drop:.0f}, {fit.iterations} steps")

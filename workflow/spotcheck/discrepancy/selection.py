@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from spotcheck.discrepancy.candidates import list_starts, screen_candidates
+from spotcheck.discrepancy.candidates import list_starts, screen_candidates, screen_drawn_variants
 from spotcheck.discrepancy.criteria import EXPLAINED_SHARE, MOST_EFFECTS, PARAMETER_PRICE, SHAPE_SHARES, VARIANT_TIE
 from spotcheck.discrepancy.evidence import (
     EffectTest,
@@ -277,6 +277,8 @@ def add_best_effect(
     if demand.is_unmet():
         effects = [effect for effect in effects if not effect.acts_on_noise]
     candidates = screen_candidates(thinned, list_starts(effects, scales))
+    candidates += screen_drawn_variants(thinned, effects, scales)
+    candidates.sort(key=lambda candidate: -candidate.score)
     logged = (f"{describe_start(c.start)} {c.score * ratio:.0f}" for c in candidates[:LOGGED_CANDIDATES])
     log("screen " + ", ".join(logged))
     refits = refit_candidates(thinned, candidates, present, scales, log)

@@ -24,6 +24,7 @@ from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
 from spotcheck.discrepancy.residuals import ResidualImages, place_on_sensor, select_all_pixels, sum_over_blocks
+from spotcheck.discrepancy.site_draws import improve_draws, start_draws
 from spotcheck.model.effect import AppliedEffect, RandomStep
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.stage import Stage
@@ -150,8 +151,9 @@ def predict_frames(nested: NestedModel, frames: FrameSet, start: FrameParameters
     effects = tuple(applied for applied in nested.forward.effects if not is_law(applied.effect))
     model = JointModel(replace(nested.forward, law=None, effects=effects), spots, frames.design)
     pixels = select_pixels(frames, spots)
-    model = _fit_sites(model, thin_pixels(pixels), nested.scatter.site_sd, SITE_STEPS)
-    model = _fit_sites(model, pixels, nested.scatter.site_sd, LAST_STEPS)
+    thin = thin_pixels(pixels)
+    model = start_draws(_fit_sites(model, thin, nested.scatter.site_sd, SITE_STEPS), thin)
+    model = improve_draws(_fit_sites(model, pixels, nested.scatter.site_sd, LAST_STEPS), pixels)
     return _compare_frames(model, nested.scatter, frames)
 
 

@@ -4,8 +4,8 @@ The exposure law gives peak and width of a spot as functions of the exposure; ef
 The top hat cuts the Gaussian of the spot to a plateau.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,8 @@ class FrameConditions:
     order: PerFrame = 0.5  # place in the order of acquisition, from 0 to 1
     peak_dn: PerFrame = np.nan  # peak of the spot [DN]; NaN, unused, if an exposure law gives it
     sigma_px: PerFrame = np.nan  # width σ_g of the spot [px]; NaN, unused, if an exposure law gives it
+    # Known values of what random steps of effects draw, by the name of the effect; a draw of the model comes before it.
+    draws: Mapping[str, PerFrame] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

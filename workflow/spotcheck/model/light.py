@@ -77,6 +77,8 @@ class LightStages:
                 result = step(*arguments)
             elif step in drawn:
                 result = step(*arguments, drawn[step])
+            elif frame is not None and step.applied.effect.name in frame.draws:
+                result = step(*arguments, frame.draws[step.applied.effect.name])
         return result
 
     def true_exposure(self, frame: FrameConditions, drawn: Drawn = NOTHING_DRAWN) -> float:
