@@ -146,6 +146,12 @@ def test_the_sheet_is_contradicted_beyond_three_stated_errors():
     assert compose_verdict(agree(sensor=(silent,)), "small")["sheet"][0]["z"] is None
 
 
+def test_a_value_that_misfit_pulls_away_does_not_contradict_the_sheet():
+    """11 errors of the sheet, but 0.7 of its own."""
+    pulled = replace(NOISE, fitted=NOISE.stated + 11 * NOISE.stated_stderr, stderr=15 * NOISE.stated_stderr)
+    assert not compose_verdict(agree(sensor=(pulled,)), "small")["sheet"][0]["contradicts"]
+
+
 def test_what_remains():
     """The error e of a square gives √(size² + e) − size: for 0.4 % and (0.3 %)², 0.5 % − 0.4 %."""
     row = Unexplained(0.004, 9e-6, 16 / 9, 1.2, 0.04)

@@ -9,6 +9,7 @@ spot, or of the brightest level of flats.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.light_shape import LightShape
 
@@ -110,6 +111,14 @@ class SensorPull:
     def shift(self) -> float:
         """Difference of fitted and stated value in standard errors of the stated one."""
         return (self.fitted - self.stated) / self.stated_stderr
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the frames contradict the stated value: by `CLEAR_ERRORS` of its errors, and of the fitted value's.
+
+        Misfit, which increases the error of the fitted value, may pull it far away from a precise stated one.
+        """
+        return bool(min(abs(self.shift), abs(self.fitted - self.stated) / self.stderr) > CLEAR_ERRORS)
 
     @property
     def z(self) -> float:

@@ -290,7 +290,7 @@ def describe_pull(pull: SensorPull) -> dict[str, Any]:
         "stderr": number(pull.stderr),
         "stated_errors": number(pull.shift),
         "z": number(pull.z) if pull.stderr < pull.stated_stderr else None,
-        "contradicts": bool(abs(pull.shift) > CLEAR_ERRORS),
+        "contradicts": pull.contradicts,
     }
 
 
