@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy.candidates import changes_mean_image
+from spotcheck.discrepancy.evidence import compare_cells
+from spotcheck.discrepancy.joint_fit import fit_jointly
 from spotcheck.discrepancy.selection import select_effects
+from spotcheck.discrepancy.site_draws import start_draws
 from spotcheck.discrepancy.validation import NestedModel, predict_frames
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.light import ExposureLaw
 from tests.samples import drawn_frames
 from tests.samples.drawn_frames import DrawnLight, draw_frames, lay_out
-from tests.samples.models_of_frames import SCALES, fit_drawn, frame_set
+from tests.samples.models_of_frames import SCALES, apply_effect, fit_drawn, frame_set
 
 DEPTH, PERIOD_PX, DIRECTION_DEG = 0.04, 9.0, 30.0
 # A wave of the residuals about as near as the peak of a spectrum finds it.
@@ -58,3 +61,18 @@ def test_frames_of_new_sites_are_predicted_with_phases_of_their_own():
         for forward in (with_stripes, replace(with_stripes, effects=()))
     )
     assert plain.open_z > LARGEST_Z > striped.open_z
+
+
+@pytest.mark.parametrize("is_new_in_frames", [False, True])
+def test_frames_of_a_site_must_agree_about_the_phase(is_new_in_frames: bool):
+    """Stripes whose phase is new in every frame are inconsistent with stripes that are drawn at sites."""
+    conditions = lay_out(repeats=1)
+    drawn_at = replace(conditions, site=np.arange(len(conditions))) if is_new_in_frames else conditions
+    light = DrawnLight(stripes=(DEPTH, PERIOD_PX, DIRECTION_DEG))
+    drawn = replace(draw_frames(44, drawn_at, light), conditions=conditions)
+    plain = fit_drawn(drawn)
+    start = apply_effect("interference_fringes", "site", d=DEPTH, period=PERIOD_PX, direction=DIRECTION_DEG)
+    fit = fit_jointly(start_draws(plain.model.with_effect(start, NEAR), plain.pixels), plain.pixels)
+    cells = compare_cells(fit, "interference_fringes")
+    # The chance of a false alarm is that of χ² beyond 8 standard deviations, less than 1e-9.
+    assert (cells.q > cells.limit(plain.deviance - fit.deviance)) == is_new_in_frames

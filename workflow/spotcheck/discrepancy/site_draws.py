@@ -49,12 +49,9 @@ def is_drawn_at_sites(applied: AppliedEffect) -> bool:
 def start_draws(model: JointModel, pixels: Pixels) -> JointModel:
     """Return the model with the draws of its effects estimated from the best of several starts at each site."""
     for applied in filter(is_drawn_at_sites, model.forward.effects):
-        (step,) = applied.steps_at(Stage.MODULATION)
-        values = step.quadrature()[0]
-        values = values[:: max(len(values) // STARTS, 1)]
+        values = _start_values(applied)
         deviances = [_sum_by_site(_with_draws(model, applied, value), pixels)[0] for value in values]
-        best = np.argmin(deviances, axis=0)
-        model = _with_draws(model, applied, values[best][_site_numbers(model)])
+        model = _with_draws(model, applied, values[np.argmin(deviances, axis=0)][_site_numbers(model)])
     for _ in range(FIRST_STEPS):
         model = improve_draws(model, pixels)
     return model
@@ -63,10 +60,8 @@ def start_draws(model: JointModel, pixels: Pixels) -> JointModel:
 def improve_draws(model: JointModel, pixels: Pixels) -> JointModel:
     """Return the model after one step of Fisher scoring of the draws of its effects at each site."""
     for applied in filter(is_drawn_at_sites, model.forward.effects):
-        (step,) = applied.steps_at(Stage.MODULATION)
-        values = step.quadrature()[0]
-        farthest = abs(values[1] - values[0]) * max(len(values) // STARTS, 1)
-        _, score, information = _sum_by_site(model, pixels, applied, DIFFERENCE * farthest)
+        farthest = _farthest_step(applied)
+        _, score, information = _sum_by_site(model, pixels, applied)
         change = np.clip(score / np.maximum(information, LEAST_INFORMATION), -farthest, farthest)
         draws = model.design.draws[applied.effect.name]
         model = _with_draws(model, applied, draws + change[_site_numbers(model)])
@@ -85,12 +80,13 @@ def _site_numbers(model: JointModel) -> np.ndarray:
 
 
 def _sum_by_site(
-    model: JointModel, pixels: Pixels, applied: AppliedEffect | None = None, difference: float = 0.0
+    model: JointModel, pixels: Pixels, applied: AppliedEffect | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return −2 ln L of the frames of each site up to a constant, and score and information of a draw [site].
+    """Return −2 ln L of the frames of each site up to a constant, and score and information of the draw of an effect.
 
-    `difference` is the step of the derivative by the draw of an effect; 0 without one.
+    All are [site]; score and information are 0 without an effect.
     """
+    difference = DIFFERENCE if applied is None else DIFFERENCE * _farthest_step(applied)
 
     def sum_frames(batch: slice) -> np.ndarray:
         """Return the three sums over the pixels of each frame of a batch [3, frame]."""
@@ -112,3 +108,16 @@ def _sum_by_site(
         np.bincount(number, of_frames) for of_frames in np.concatenate(map_batches(sum_frames, pixels), axis=1)
     )
     return deviance, score, information
+
+
+def _start_values(applied: AppliedEffect) -> np.ndarray:
+    """Return the values of a draw from which its estimate starts [start]."""
+    (step,) = applied.steps_at(Stage.MODULATION)
+    values = step.quadrature()[0]
+    return values[:: max(len(values) // STARTS, 1)]
+
+
+def _farthest_step(applied: AppliedEffect) -> float:
+    """Return the largest step of a draw: the distance of two starts."""
+    values = _start_values(applied)
+    return float(abs(values[1] - values[0]))
