@@ -215,12 +215,10 @@ class LawSearch:
             whitened = self.whitening @ jacobian
             step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=STEP_RCOND)[0]
             has_converged = bool(np.sum((whitened @ step) ** 2) < TOLERANCE)
-            moved = self._descend(model, names, step)
+            before, model = model, self._descend(model, names, step)
             # Where no step lowers χ² the next one would be the same.
-            if has_converged or moved is model:
-                model = moved
+            if has_converged or model is before:
                 break
-            model = moved
         mean, jacobian = self._linearize(model, names)
         residual, whitened = self.observations - mean, self.whitening @ jacobian
         chi2 = self._chi2_of(model)
