@@ -15,11 +15,11 @@ import numpy as np
 from scipy import optimize, stats
 from scipy.stats import qmc
 
-from spotcheck.paper.rivals.summaries import IS_FITTED, IS_SCORED, SUMMARIES
+from spotcheck.paper.rivals.summaries import IS_FITTED, IS_SCORED, PRINTED, SUMMARIES
 from spotcheck.paper.rivals.worlds import World
 
 # No world is exact: each logarithm of a summary may be off by this much, in the same way for all worlds.
-# ASSUME: 3 % for p1, p2 and means, 10 % for all else, independently for each summary.
+# ASSUME: 3 % for p1, the width at 500 µs and means, 10 % for all else, independently for each summary.
 DISCREPANCY = np.where([summary.is_mean for summary in SUMMARIES], 0.03, 0.1)
 # Rounds of the emulator: realisations, and half the side of the box in which they lie, as a part of the range. The last
 # one is repeated around each new optimum until it lies inside the box, up to this number of rounds in all.
@@ -31,8 +31,9 @@ EDGE = 1e-3
 STARTS = 8
 # A world is preferred if held-out summaries are this much more likely than under any other: a factor of 20.
 DECISIVE_LOG_RATIO = float(np.log(20.0))
-# Smallest value whose logarithm is taken.
-SMALLEST = 1e-9
+# Part of the printed value below which a summary counts as this part of it. A spread may be 0, whose logarithm would
+# outweigh all other summaries.
+LEAST_SHARE = 0.1
 
 # Draws the summaries [point, summary] of one realisation at each point [point, parameter] of the unit cube; the key
 # distinguishes the random numbers of several calls.
@@ -71,8 +72,11 @@ class WorldFit:
 
 
 def transform(summaries: np.ndarray) -> np.ndarray:
-    """Return the logarithms of summaries [..., summary], which the emulator uses; values are at least `SMALLEST`."""
-    return np.log(np.maximum(summaries, SMALLEST))
+    """Return the logarithms of summaries [..., summary], which the emulator uses.
+
+    Values below `LEAST_SHARE` of the printed ones count as this share of them.
+    """
+    return np.log(np.maximum(summaries, LEAST_SHARE * PRINTED))
 
 
 def expand_quadratic(points: np.ndarray) -> np.ndarray:

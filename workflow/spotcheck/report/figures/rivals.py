@@ -16,6 +16,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from spotcheck.model.propagation import beam_propagation
 from spotcheck.paper.rivals.inference import DECISIVE_LOG_RATIO
 from spotcheck.paper.rivals.predictions import SEPARATION, SHORT_EXPOSURES_S
+from spotcheck.paper.rivals.summaries import MIDDLE_S
 from spotcheck.paper.rivals.worlds import EXPOSURES_S, LASER_PX
 from spotcheck.report.figures import style
 
@@ -27,6 +28,8 @@ P_LIMITS = (0.0, 0.01, MISSED_P, 1.0)
 P_COLOURS = ("#E69F00", "#F7DFA8", "white")
 # Ratios below this one are shares, which are written in per cent.
 LARGEST_SHARE = 0.1
+# Limits and ticks of the axis of light over that of a Lambertian surface [1].
+GAIN_LIMITS, GAIN_TICKS = (1.0, 300.0), (1.0, 10.0, 100.0)
 # Column of the printed values in the table of held-out numbers.
 PRINTED_COLUMN = "print"
 
@@ -44,17 +47,16 @@ def draw_law(record: Record) -> style.Drawing:
     printed = {summary["name"]: summary["printed"] for summary in record["summaries"]}
     measured_us = 1e6 * np.geomspace(EXPOSURES_S[0], EXPOSURES_S[-1], 50)
 
-    def law_px(p1: float, p2: float) -> np.ndarray:
+    def law_px(values: dict[str, float]) -> np.ndarray:
         """Return the fitted width [px] at the measured exposures: p1 ln t + p2 and the laser's own width."""
-        return beam_propagation(1e-6 * measured_us, p1, p2) + LASER_PX
+        p2 = values["broadening_500us"] - values["p1"] * np.log(MIDDLE_S)
+        return beam_propagation(1e-6 * measured_us, values["p1"], p2) + LASER_PX
 
-    handles: list[Any] = ax.plot(
-        measured_us, law_px(printed["p1"], printed["p2"]), color="black", linewidth=5, alpha=0.25
-    )
+    handles: list[Any] = ax.plot(measured_us, law_px(printed), color="black", linewidth=5, alpha=0.25)
     labels = ["printed p1 ln t + p2"]
     for (name, world), line in zip(record["worlds"].items(), style.line_styles(len(record["worlds"])), strict=True):
         means = dict(zip(names, world["mean"], strict=True))
-        ax.plot(measured_us, law_px(means["p1"], means["p2"]), color=line.colour, dashes=line.dashes)
+        ax.plot(measured_us, law_px(means), color=line.colour, dashes=line.dashes)
         short = [_find_prediction(world, f"fitted width, exposure of {1e6 * t:.0f} µs") for t in SHORT_EXPOSURES_S]
         handles.append(
             ax.errorbar(
@@ -131,7 +133,9 @@ def draw_scores(record: Record) -> style.Drawing:
     )
     score_ax.invert_yaxis()
     gain_ax.plot([world["photon_gain"] for world in worlds.values()], y, "o", color=style.SIMULATED)
-    gain_ax.set(xscale="log", xlabel="light / Lambertian")
+    gain_ax.set(xscale="log", xlabel="light / Lambertian", xlim=GAIN_LIMITS)
+    gain_ax.set_xticks(GAIN_TICKS, [f"{tick:.0f}" for tick in GAIN_TICKS])
+    gain_ax.minorticks_off()
     gain_ax.tick_params(labelleft=False)
     columns = [*worlds, "cannot tell"]
     counts = np.array([[record["recovery"][name][column] for column in columns] for name in worlds])
