@@ -59,7 +59,8 @@ SUMMARIES = (
     Summary("maximum_spread", 6.0, "DN", False),
     Summary("maximum_sd", 10.0, "DN", False, is_limit=True),
 )
-PRINTED_BY_NAME = {summary.name: summary.printed for summary in SUMMARIES}
+# Printed values by name, with that of p2, which is no summary itself.
+PRINTED_BY_NAME = {"p2": PRINTED_P2_PX} | {summary.name: summary.printed for summary in SUMMARIES}
 PRINTED = np.array([summary.printed for summary in SUMMARIES])
 IS_FITTED = np.array([summary.is_fitted for summary in SUMMARIES])
 IS_SCORED = np.array([not summary.is_fitted and not summary.is_limit for summary in SUMMARIES])
