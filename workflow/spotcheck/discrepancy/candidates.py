@@ -274,7 +274,7 @@ def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> Projected
     if equations.shape is not None:
         # Eliminate the coefficients of the free shape; `equations` are without them already.
         half_shape = equations.shape.factor.half_solve(of_shape)
-        cross = cross - equations.shape.project(half_shape)
+        cross = cross - equations.shape.multiply_transposed(half_shape)
         score = score - half_shape.T @ equations.shape.score
         information -= np.sum(half_shape**2, axis=0)
     absorbed = solve_positive(equations.information, cross)
@@ -291,7 +291,9 @@ def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], changes
     # Coefficients of the free shape that reproduce each change best, beside the other unknowns.
     coefficients = None
     if changes.half_shape is not None and equations.shape is not None:
-        coefficients = equations.shape.factor.back_solve(changes.half_shape - equations.shape.add_up(changes.absorbed))
+        coefficients = equations.shape.factor.back_solve(
+            changes.half_shape - equations.shape.multiply_cross(changes.absorbed)
+        )
 
     def sum_batch(batch: slice) -> tuple[np.ndarray]:
         """Return the sums of field share × information, and of the information [2, start], of one batch."""

@@ -68,6 +68,11 @@ class Evaluation:
     slopes: np.ndarray
 
     @property
+    def log_variance(self) -> np.ndarray:
+        """ln v of each reading, with v in DN²; 0 for unused pixels. −2 ln L is Σ (r²/v + ln v) up to a constant."""
+        return -np.log(self.weight, where=self.weight > 0, out=np.zeros(self.weight.shape))
+
+    @property
     def light_score(self) -> np.ndarray:
         """Derivative of ln L by the light of each pixel [1/DN]."""
         moments = self.moments

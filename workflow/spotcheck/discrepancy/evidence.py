@@ -288,7 +288,7 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
     if equations.shape is not None:
         moves = -steps
         moves[targets, np.arange(len(targets))] = 1.0
-        coefficients = equations.shape.factor.back_solve(equations.shape.add_up(moves))
+        coefficients = equations.shape.factor.back_solve(equations.shape.multiply_cross(moves))
 
     def sum_batch(batch: slice) -> list[tuple[np.ndarray, ...]]:
         """Return, for each division, the clusters of a batch and their three sums; see `_merge`."""

@@ -51,13 +51,13 @@ class ShapePart:
     others_cross: np.ndarray  # L⁻¹C of the fitted parameters of sensor and effects [coefficient, k]
     score: np.ndarray  # L⁻¹b [coefficient]
 
-    def add_up(self, values: np.ndarray) -> np.ndarray:
-        """Return L⁻¹C values [coefficient, …] of values of the other unknowns [n, …]."""
+    def multiply_cross(self, values: np.ndarray) -> np.ndarray:
+        """Return the product L⁻¹C · values [coefficient, …] for values of the other unknowns [n, …]."""
         first = self.spots_cross.shape[1]
         return self.spots_cross @ values[:first] + self.others_cross @ values[first:]
 
-    def project(self, half: np.ndarray) -> np.ndarray:
-        """Return (L⁻¹C)' half [n, …] of half-solved values of the coefficients [coefficient, …]."""
+    def multiply_transposed(self, half: np.ndarray) -> np.ndarray:
+        """Return the product (L⁻¹C)' · half [n, …] for results of `BlockFactor.half_solve` [coefficient, …]."""
         return np.concatenate([self.spots_cross.T @ half, self.others_cross.T @ half])
 
 
@@ -106,7 +106,7 @@ class NormalEquations:
     def shape_step(self, step: np.ndarray) -> np.ndarray:
         """Return the best step of the shape's coefficients [coefficient] for a step of the other unknowns [n]."""
         assert self.shape is not None
-        return self.shape.factor.back_solve((self.shape.score - self.shape.add_up(step))[:, None])[:, 0]
+        return self.shape.factor.back_solve((self.shape.score - self.shape.multiply_cross(step))[:, None])[:, 0]
 
     def decrements(self, step: np.ndarray, fixed: np.ndarray) -> tuple[float, float]:
         """Return the Newton decrements [−2 ln L] of all unknowns, and of the fitted parameters beside the spots.
@@ -170,14 +170,14 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
         columns = differentiate_readings(model, evaluation)
         information, gradient = np.zeros((size, size)), np.zeros(size)
         fill_equations(evaluation, columns, batch.start, information, gradient)
-        used = evaluation.weight > 0
         squares = float(np.sum(evaluation.residual**2 * evaluation.weight))
-        # −2 ln L = Σ (r²/v + ln v), with ln v = −ln(weight).
-        deviance = squares - float(np.sum(np.log(evaluation.weight, where=used, out=np.zeros(used.shape))))
+        deviance = squares + float(np.sum(evaluation.log_variance))
         if model.grid is None:
             return information, gradient, deviance, squares
         sums = ShapeSums(model, evaluation)
-        equivalents = np.array([evaluation.light_equivalent(column) for column in columns]).reshape(-1, *used.shape)
+        equivalents = np.array([evaluation.light_equivalent(column) for column in columns]).reshape(
+            -1, *evaluation.weight.shape
+        )
         # Score of the coefficients, and their information with each fitted parameter [coefficient, 1 + k].
         products = np.column_stack([sums.score(), sums.products(equivalents)])
         if not has_new_factor:
@@ -207,7 +207,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     spots_others = shape.spots_cross.T @ shape.others_cross
     schur = np.block([[shape.spots_schur, spots_others], [spots_others.T, shape.others_cross.T @ shape.others_cross]])
     beside_shape = information - schur + gauge_information(model, information)
-    gradient = gradient - shape.project(shape.score)
+    gradient = gradient - shape.multiply_transposed(shape.score)
     deviance += float(coefficients @ penalty)
     return NormalEquations(beside_shape, gradient, np.diag(information), deviance, dispersion, frames, shape)
 

@@ -102,7 +102,7 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
     half = np.zeros((0, len(alone)))
     if shape is not None:
         half = shape.factor.half_solve(shape_products)
-        cross = cross - shape.project(half)
+        cross = cross - shape.multiply_transposed(half)
     absorbed = solve_positive(equations.information, cross)
     information = alone - np.sum(half**2, axis=0) - np.sum(cross * absorbed, axis=0)
     of_special_case = np.zeros(count)
@@ -117,7 +117,7 @@ def project_trials(fit: JointFit, trials: Sequence[AppliedEffect]) -> Projection
         half[:, k] -= of_special_case[k] * half[:, j]
     of_shape = None
     if shape is not None:
-        of_shape = shape.factor.back_solve(half[:, :count] - shape.add_up(absorbed[:, :count]))
+        of_shape = shape.factor.back_solve(half[:, :count] - shape.multiply_cross(absorbed[:, :count]))
     return Projection(information[:count], alone[:count], absorbed[:, :count], of_shape, of_special_case)
 
 

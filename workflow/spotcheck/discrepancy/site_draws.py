@@ -14,7 +14,7 @@ import numpy as np
 
 from spotcheck.discrepancy.evaluation import change_of_moments, evaluate, map_batches
 from spotcheck.discrepancy.frames import Pixels
-from spotcheck.model.effect import AppliedEffect, Effect, RandomStep, Scope
+from spotcheck.model.effect import AppliedEffect, Effect, RandomStep, Scope, Step
 from spotcheck.model.stage import Stage
 
 if TYPE_CHECKING:
@@ -29,16 +29,13 @@ LEAST_INFORMATION = 1e-300
 
 
 def list_site_variants(effect: Effect) -> list[Enum]:
-    """Return the variants of an effect whose only steps modulate the light by a draw that is new at each site."""
-    return [
-        variant
-        for variant, steps in effect.variants.items()
-        if steps
-        and all(
-            isinstance(step, RandomStep) and step.scope is Scope.SITE and step.stage is Stage.MODULATION
-            for step in steps
-        )
-    ]
+    """Return the variants of an effect whose only step modulates the light by a draw that is new at each site."""
+
+    def is_drawn(step: Step | RandomStep) -> bool:
+        """Return whether a step modulates the light by such a draw."""
+        return isinstance(step, RandomStep) and step.scope is Scope.SITE and step.stage is Stage.MODULATION
+
+    return [variant for variant, steps in effect.variants.items() if len(steps) == 1 and is_drawn(steps[0])]
 
 
 def is_drawn_at_sites(applied: AppliedEffect) -> bool:
@@ -91,9 +88,7 @@ def _sum_by_site(
     def sum_frames(batch: slice) -> np.ndarray:
         """Return the three sums over the pixels of each frame of a batch [3, frame]."""
         evaluation = evaluate(model, pixels, batch, with_slopes=False)
-        used = evaluation.weight > 0
-        log_weight = np.log(evaluation.weight, where=used, out=np.zeros(used.shape))
-        deviance = np.sum(evaluation.residual**2 * evaluation.weight - log_weight, axis=(1, 2))
+        deviance = np.sum(evaluation.residual**2 * evaluation.weight + evaluation.log_variance, axis=(1, 2))
         if applied is None:
             return np.array([deviance, 0 * deviance, 0 * deviance])
         name, conditions = applied.effect.name, evaluation.conditions

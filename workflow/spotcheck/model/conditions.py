@@ -60,7 +60,7 @@ class FrameConditions:
     order: PerFrame = 0.5  # place in the order of acquisition, from 0 to 1
     peak_dn: PerFrame = np.nan  # peak of the spot [DN]; NaN, unused, if an exposure law gives it
     sigma_px: PerFrame = np.nan  # width σ_g of the spot [px]; NaN, unused, if an exposure law gives it
-    # Known values of what random steps of effects draw, by the name of the effect; a draw of the model comes before it.
+    # Known values of what random steps of effects draw, by the name of the effect. Values in a `Drawn` replace them.
     draws: Mapping[str, PerFrame] = field(default_factory=dict)
 
 

@@ -37,9 +37,9 @@ def moments_with_offsets(
 
     Notes
     -----
-    Where noise makes rounding negligible, far from both ends of the converter, an offset adds to the mean. Elsewhere
-    tables for equidistant offsets are interpolated by cubics, since rounding and black clipping depend on where a
-    signal lies between whole numbers.
+    An offset adds to the mean of pixels whose noise makes rounding negligible and whose readings lie far from both
+    ends of the converter. Moments of other pixels are interpolated by cubics between tables for equidistant offsets,
+    since rounding and black clipping depend on where a signal lies between whole numbers.
     """
     highest = float(np.max(light)) + distribution.sensor.gain_dn_per_e * float(np.max(smear_e))
     without = distribution.tabulate(highest).moments(light, smear_e)
