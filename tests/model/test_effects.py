@@ -199,11 +199,6 @@ def test_a_new_effect_can_be_fitted(vignetting):
     assert a == pytest.approx(0.08, rel=1e-6)
 
 
-def test_the_new_effect_is_gone_again():
-    """Tests do not change the vocabulary for each other."""
-    assert list(vocabulary()) == list(CONTRACT)
-
-
 def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch):
     """Without any list that names it; in its place by number."""
     written(
@@ -221,19 +216,11 @@ def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch)
         effects.built_in.cache_clear()
 
 
-# Quantities of EMVA 1288, which bear the names of effects.
+# Quantities of EMVA 1288, which bear the names of effects → where they are named.
 EMVA = {
     "dark_offset": {
-        *(
-            f"characterization/{module}.py"
-            for module in (
-                "contradictions",
-                "derived_quantities",
-                "emva_quantities",
-                "photon_transfer",
-                "sensor_choice",
-            )
-        ),
+        *(f"characterization/{name}.py" for name in ("contradictions", "derived_quantities", "emva_quantities")),
+        *(f"characterization/{name}.py" for name in ("photon_transfer", "sensor_choice")),
         *("discrepancy/flat_levels.py", "report/figures/photon_transfer.py"),
     },
     "saturation": {"characterization/transfer_data.py", "report/figures/photon_transfer.py"},
@@ -251,15 +238,6 @@ def test_no_effect_is_named_outside_its_file():
             if isinstance(node, ast.Constant) and node.value in CONTRACT and node.value not in allowed:
                 named.setdefault(node.value, set()).add(path.relative_to(library).as_posix())
     assert named == EMVA
-
-
-def test_a_new_effect_is_on_the_page(vignetting):
-    """With its parameter, its bounds and its place."""
-    text = page.render_effects(vocabulary().values())
-    section = text[text.index(f"## {len(CONTRACT) + 1}. vignetting\n") : text.index("## Adding an effect")]
-    assert "The light falls off from the frame's centre." in section
-    assert "| `a` | 1 | 0 | 1 | vanishes at 0 |" in section
-    assert "| light of the spot [DN] | interference_fringes, vignetting |" in text
 
 
 def test_the_page_is_up_to_date(tmp_path, capsys):

@@ -46,14 +46,18 @@ def soft_knee(y, level, width):
     return y - scale * (np.logaddexp(0, y / scale - 1 / width) - np.logaddexp(0, -1 / width))
 
 
+KNEES = {
+    "soft": soft_knee,
+    # (x^−m + level^−m)^(−1/m), by logarithms: high powers of numbers of hundreds overflow.
+    "power": lambda x, level, k: np.exp(-k * np.logaddexp(-np.log(x) / k, -np.log(level) / k)),
+}
+
+
 def knee(y, level, width, variant):
-    """The bent response itself."""
+    """The bent response itself; signals below 0 are noise and stay."""
     if variant.startswith("sharp"):
         return np.minimum(y, level)
-    if variant.startswith("soft"):
-        return soft_knee(y, level, width)
-    lit = np.maximum(y, 1e-9)
-    return np.where(y > 1e-9, (lit ** (-1 / width) + level ** (-1 / width)) ** -width, y)
+    return np.where(y > 1e-9, KNEES[variant.split()[0]](np.maximum(y, 1e-9), level, width), y)
 
 
 def well(s: Noisy) -> Noisy:
@@ -246,13 +250,6 @@ def act(case, *arguments):
     return AppliedStep(effect.effect.variants[effect.variant][0], effect)(*arguments)
 
 
-KNEES = {
-    "soft": soft_knee,
-    # (x^−m + level^−m)^(−1/m), by logarithms: high powers of numbers of hundreds overflow.
-    "power": lambda x, level, k: np.exp(-k * np.logaddexp(-np.log(x) / k, -np.log(level) / k)),
-}
-
-
 @pytest.mark.parametrize("variant", KNEES)
 def test_a_knee_stops_the_signal_however_far_it_is_driven(variant):
     """The sentence: "the signal stops at a level". Within the bounds: 50 times the level, any width of the knee; in
@@ -281,41 +278,6 @@ def test_smear_spreads_each_column_evenly():
         extra = act(case, frame, electrons) * np.ones((44, 1))
         np.testing.assert_allclose(rows * extra, 0.07 * electrons.sum(axis=0) * np.ones((44, 1)), rtol=1e-12)
     assert extra.sum() == pytest.approx(0.07 * electrons.sum(), rel=1e-12)
-
-
-def test_read_noise_is_the_total():
-    """In electrons, instead of the stated one; the mean stays where black cuts nothing. Interpolation leaves 1e-4."""
-    plain, noisy = expected_of([]), expected_of([of("excess_read_noise", total=31.0)])
-    bright = plain[0] > 100
-    np.testing.assert_allclose(noisy[0][bright], plain[0][bright], atol=1e-3)
-    np.testing.assert_allclose((noisy - plain)[1][bright], SENSOR.gain_dn_per_e**2 * (31.0**2 - 13.0**2), rtol=2e-4)
-
-
-@pytest.mark.parametrize("variant", ["light", "electronic"])
-def test_a_pedestal_brings_shot_noise_only_as_light(variant):
-    """Uniform in every frame; its variance K · level or none."""
-    mean, variance = expected_of([of("dark_offset", variant, level=21.0)]) - expected_of([])
-    np.testing.assert_allclose(mean, 21.0, atol=2e-4)
-    np.testing.assert_allclose(variance, SENSOR.gain_dn_per_e * 21.0 if variant == "light" else 0.0, atol=2e-3)
-
-
-def test_variants_of_black_clipping():
-    """A level that is taken off shifts what is far above it; a dead zone leaves that alone and makes the rest 0."""
-    plain, taken, dead = (expected_of(cases)[0] for cases in (
-        [], [of("black_clipping", "subtracted", threshold=25.0)], [of("black_clipping", "dead zone", threshold=55.0)]
-    ))  # fmt: skip
-    high, border = plain > 150, plain < 41
-    np.testing.assert_allclose((plain - taken)[high], 25.0, atol=1e-4)
-    np.testing.assert_allclose(dead[high], plain[high], atol=1e-4)
-    assert border.any() and dead[border].max() < 1e-6
-
-
-def test_two_thresholds():
-    """Of a user's vocabulary there may be two: levels taken off add up, of dead zones the larger counts."""
-    for variant, first, second, together in (("subtracted", 10.0, 15.0, 25.0), ("dead zone", 55.0, 30.0, 55.0)):
-        both = expected_of([of("black_clipping", variant, threshold=threshold) for threshold in (first, second)])
-        alone = expected_of([of("black_clipping", variant, threshold=together)])
-        np.testing.assert_allclose(both, alone, rtol=1e-12, atol=1e-12)
 
 
 # What is drawn: fields and numbers of a frame, a site or the sensor.

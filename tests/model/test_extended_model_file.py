@@ -13,15 +13,14 @@ from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.spot_measurements import SpotMeasurements, measure_spots
 from spotcheck.errors import InputError
-from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.model.light_shape import LIGHT, LightShape, read_light
-from spotcheck.model.model_file import ExtendedModel, Site, Spot, read_model, reason_without_model
+from spotcheck.model.model_file import ExtendedModel, Site, read_model, reason_without_model
 from spotcheck.model.model_writer import LightFile, model_text, no_model_text, write_light, write_no_light
-from tests.model.test_extended import GHOST, PLAIN, SIDE, design, simulated, with_effects
+from tests.model.test_extended import SIDE, design, simulated
 from tests.samples import drawn_frames as drawing
 from tests.samples.drawn_frames import DrawnFrames, draw_frames, draw_numbers, lay_out
 from tests.samples.model_files import applied
@@ -52,50 +51,6 @@ def written(model: ExtendedModel, folder) -> ExtendedModel:
         write_light(model.lights, LightFile(folder / LIGHT, "set", "code"))
     (folder / "model.yaml").write_text(model_text(model, "set", "named"), encoding="utf-8")
     return read_model(folder / "model.yaml")
-
-
-MODELS = {
-    "plain": PLAIN,
-    "several effects, with variants": with_effects(
-        applied("saturation", "power", level=500.0, knee=0.1),
-        GHOST,
-        applied("site_variation", width=0.01, brightness=0.02),
-    ),
-    "spots of their own": replace(
-        PLAIN, law=None, spots={
-            Site(None, None, 0, (("z_m", 0.05),)): Spot(10.5, 20.25, 400.0, 6.5),
-            Site(45.0, 1e-5, 2, (("z_m", -1.0),)): Spot(11.0, 19.0, 0.0, 7.0),
-        },
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", MODELS)
-def test_what_is_written_is_read(name: str, tmp_path):
-    """Law, effects, spots and exposures come back."""
-    assert written(MODELS[name], tmp_path) == MODELS[name]
-
-
-def test_every_variant_of_every_effect_is_read_as_it_was_written(tmp_path):
-    """Among them those of which the text is empty; values to nine digits."""
-    for effect in vocabulary().values():
-        for variant in effect.variants if effect.stages else ():
-            values = np.where([p in effect.parameters_of(variant) for p in effect.parameters], 1 / 3, np.nan)
-            (again,) = written(with_effects(AppliedEffect(effect, variant, tuple(values))), tmp_path).effects
-            assert (again.effect, again.variant) == (effect, variant)
-            np.testing.assert_allclose(again.values, values, rtol=1e-8)
-
-
-def test_a_learned_light_is_read_as_it_was_written(tmp_path):
-    """The coefficients come back to the last digit; the map is the shape at its places; attributes describe it."""
-    model = with_effects(AppliedEffect(OF_LIGHT, next(iter(OF_LIGHT.variants)), (0.06, 2.0)), lights=(SHAPE,))
-    again = written(model, tmp_path)
-    assert again.effects == model.effects
-    np.testing.assert_array_equal(again.lights[0].coefficients, SHAPE.coefficients)
-    write_light([SHAPE], LightFile(tmp_path / LIGHT, "set", "code", attributes={"described": "so"}))
-    with store.read(tmp_path / LIGHT) as ds:
-        assert ds.attrs["described"] == "so"
-        np.testing.assert_allclose(ds["s"][0], SHAPE(ds["u"].values[None, :], ds["v"].values[:, None]), atol=1e-7)
 
 
 def test_files_without_a_model_say_why(tmp_path):

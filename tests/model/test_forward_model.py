@@ -207,46 +207,11 @@ def test_jacobian_through_stages_behind_the_light(mixing):
     check_jacobian(replace(model, effects=(*model.effects, mixing)), FRAME, names)
 
 
-REGISTERED = [case for case in EVERY if any(getattr(step, "derivatives", None) for step in
-                                            case.applied().effect.variants[case.applied().variant])]  # fmt: skip
-
-
-@pytest.mark.parametrize("case", REGISTERED, ids=title)
-def test_registered_derivatives_are_those_of_the_function(case):
-    """Without them the model takes a difference, whose error is 1e-5² and rounding over 1e-5."""
-    model, applied_effect = model_of(case), case.applied()
-    variants = {applied_effect.variant: tuple(replace(step, derivatives={}) for step in
-                                              applied_effect.effect.variants[applied_effect.variant])}  # fmt: skip
-    plain = replace(applied_effect, effect=replace(applied_effect.effect, variants=variants))
-    names = [f"{case.name}.{name}" for name in case.values]
-    for closed, difference in zip(model.jacobian(FRAME, names), replace(model, effects=(plain,)).jacobian(FRAME, names),
-                                  strict=True):  # fmt: skip
-        assert not np.array_equal(closed, difference)
-        np.testing.assert_allclose(closed, difference, atol=1e-7 * np.abs(difference).max())
-
-
 @pytest.mark.parametrize("name", ["sigma_px", "phase", "smear.fraction", "saturation.depth", "saturation.knee"])
 def test_a_parameter_that_the_model_lacks(name):
     """Also one that a law gives, or that another variant has."""
     with pytest.raises(KeyError):
         model_of(SATURATION[0]).jacobian(replace(FRAME, sigma_px=np.nan), [name])
-
-
-def test_a_parameter_that_a_variant_lacks_never_counts():
-    """It is NaN in all cases above; here it has values, which change nothing."""
-    for case in EVERY:
-        used = case.applied()
-        unused = {p.name for p in used.effect.parameters} - {p.name for p in used.effect.parameters_of(used.variant)}
-        model = model_of(case)
-        other = replace(model, effects=(replace(used, values=tuple(
-            7.7 if parameter.name in unused else value
-            for parameter, value in zip(used.effect.parameters, used.values, strict=True)
-        )),))  # fmt: skip
-        assert np.isnan(used.values).sum() == len(unused)
-        if unused:
-            np.testing.assert_array_equal(model.expected(FRAME).mean, other.expected(FRAME).mean)
-            np.testing.assert_array_equal(sampled(model, 1), sampled(other, 1))
-        assert np.isfinite(model.expected(FRAME).mean).all() and np.isfinite(model.expected(FRAME).variance).all()
 
 
 # Random draws.
@@ -326,24 +291,6 @@ def test_the_order_of_the_effects_does_not_matter():
         np.testing.assert_array_equal(other.sample(FRAME, streams), frame)
         other = replace(few, effects=tuple(few.effects[k] for k in rng.permutation(len(few.effects))))
         np.testing.assert_array_equal(other.expected(FRAME).variance, expected.variance)
-
-
-def test_sites_vary_as_stated():
-    """Logarithms of peak and width at 2000 sites: normal with the two standard deviations, and not correlated. Noise
-    adds 1e-4 of both; the false-alarm rate is 1e-4 for each of the four tests."""
-    model = model_of(of("site_variation", brightness=0.2, width=0.07), sensor=CLEAN, law=None)
-    frame = replace(FRAME, peak_dn=20000.0, sigma_px=2.0)
-    x, y = frame.pixels.x - frame.x0, frame.pixels.y - frame.y0
-    logs = []
-    for site in range(2000):
-        light = model.sample(frame, RandomStreams(7, site, site)).astype(float)
-        variance = (light * (x**2 + y**2)).sum() / (2 * light.sum())
-        logs.append((np.log(light.sum() / (2 * np.pi * variance) / 20000.0), np.log(variance / 4) / 2))
-    brightness, width = np.transpose(logs)
-    for logarithms, deviation in ((brightness, 0.2), (width, 0.07)):
-        assert stats.kstest(logarithms / deviation, "norm").pvalue > 1e-4
-        assert logarithms.std() == pytest.approx(deviation, rel=stats.norm.isf(5e-5) / np.sqrt(2 * 2000))
-    assert stats.pearsonr(brightness, width).pvalue > 1e-4
 
 
 def test_scattered_levels_are_fixed_to_the_sensor():

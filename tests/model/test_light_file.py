@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import tifffile
 import xarray as xr
-from scipy.interpolate import BSpline
 
 from spotcheck.cli import main
 from spotcheck.dataset import folder as dataset
@@ -31,6 +30,7 @@ from tests.model.test_extended import (
     with_effects,
 )
 from tests.samples.model_files import applied, model_text
+from tests.samples.splines import along
 
 # No symmetry, and a third of the peak, so that no axis can stand for another.
 SHAPE = LightShape(0.4, np.random.default_rng(3).normal(0, 0.02, (21, 21)) + 0.1 * np.eye(21, k=3))
@@ -45,10 +45,8 @@ def put(path: Path, shape: LightShape = SHAPE) -> Path:
 
 def by_scipy(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Σ c b(v) b(u) at columns u and rows v [row, column]."""
-    nodes = SHAPE.step * (np.arange(21) - 10)
-    one = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)
-    along, across = (np.nan_to_num(one((x[:, None] - nodes) / SHAPE.step)) for x in (u, v))
-    return across @ SHAPE.coefficients @ along.T
+    across, along_u = (along(places, SHAPE.step, 21) for places in (v, u))
+    return across @ SHAPE.coefficients @ along_u.T
 
 
 def test_what_is_written_is_read(tmp_path):

@@ -38,23 +38,23 @@ def test_what_is_written_is_read(effect, variant, tmp_path):
     assert known == {name: pytest.approx(value, rel=1e-8) for name, value in values.items()}
 
 
-def test_effects_stay_in_their_order(tmp_path):
-    """Effects come back in the order of the file, not in that of the vocabulary."""
-    gradient = applied("background_gradient", "light", level=3, slope=2, direction=40)
-    model = with_effects(applied("smear", fraction=0.01), GHOST, gradient)
-    (tmp_path / "m.yaml").write_text(model_text(model), encoding="utf-8")
-    assert read_model(tmp_path / "m.yaml") == model
+MODELS = {
+    "effects in another order than the vocabulary's": with_effects(
+        applied("smear", fraction=0.01), GHOST, applied("background_gradient", "light", level=3, slope=2, direction=40)
+    ),
+    "a spot for each frame": replace(
+        PLAIN, law=None, spots={
+            Site(None, None, 0, (("z_m", 0.05),)): Spot(10.5, 20.25, 400.0, 6.5),
+            Site(45.0, 1e-5, 2, (("z_m", -1.0),)): Spot(11.0, 19.0, 0.0, 7.0),
+        },
+    ),
+}  # fmt: skip
 
 
-def test_spots_without_a_law(tmp_path):
-    """Each frame has its own; conditions and what was not recorded come back."""
-    spots = {
-        Site(None, None, 0, (("z_m", 0.05),)): Spot(10.5, 20.25, 400.0, 6.5),
-        Site(45.0, 1e-5, 2, (("z_m", -1.0),)): Spot(11.0, 19.0, 0.0, 7.0),
-    }
-    model = replace(PLAIN, law=None, spots=spots)
-    (tmp_path / "m.yaml").write_text(model_text(model), encoding="utf-8")
-    assert read_model(tmp_path / "m.yaml") == model
+@pytest.mark.parametrize("name", MODELS)
+def test_order_sites_and_conditions_come_back(name, tmp_path):
+    (tmp_path / "m.yaml").write_text(model_text(MODELS[name]), encoding="utf-8")
+    assert read_model(tmp_path / "m.yaml") == MODELS[name]
 
 
 BAD = {
@@ -69,19 +69,23 @@ BAD = {
     "negative peak": (("peak_dn: 600", "peak_dn: -600"), ["law.peak_dn is -600", "above 0"]),
     "unknown effect": (("name: smear", "name: smaer"), ["effects.0.name is smaer", "no effect", "row_noise, smear"]),
     "keys of another": (("name: ghost_reflection", "name: smear"), ["effects.1: smear needs", "fraction, not frac"]),
-    "missing parameter": (("      dy: -17\n", ""), ["effects.1: ghost_reflection needs", "dx, dy, not fraction, dx"]),
+    "missing parameter": (("      dy: -17  # px\n", ""), ["effects.1: ghost_reflection needs", "dy, not fraction, dx"]),
     "unknown parameter": (("dy: -17", "dz: -17"), ["effects.1: ghost_reflection needs", "dy, not fraction, dx, dz"]),
     "text for a parameter": (("dy: -17", "dy: up"), ["effects.1.parameters.dy is 'up'", "a number"]),
+    "an effect twice": (
+        ("  - name: ghost", "  - name: smear\n    parameters: {fraction: 0.02}\n  - name: ghost"),
+        ["effect smear stands twice"],
+    ),
     "missing form": (("    form: power\n", ""), ["effects.2: the form of saturation is missing", "sharp, soft"]),
     "unknown form": (("form: power", "form: round"), ["effects.2: the form of saturation is round", "sharp, soft"]),
     "form where there is none": (
         ("name: smear", "form: any\n    name: smear"), ["effects.0: the form of smear is any", "leave it out"]
     ),
     "infinite": (("p2_px: 11", "p2_px: .inf"), ["m.yaml", "not a finite number"]),
-    "spot twice": (('"repeat": 1, "x_px": 73', '"repeat": 0, "x_px": 73'), ["spots.1 stands twice"]),
-    "spot without a place": ((', "x_px": 73.0', ""), ["key spots.1.x_px is missing"]),
+    "spot twice": (("repeat: 1, x_px: 73", "repeat: 0, x_px: 73"), ["spots.1 stands twice"]),
+    "spot without a place": ((", x_px: 73", ""), ["key spots.1.x_px is missing"]),
     "spot with a width of its own": (
-        (', "x_px": 73.0', ', "sigma_px": 4, "x_px": 73.0'), ["spots.1 has", "which the law gives"]
+        (", x_px: 73", ", sigma_px: 4, x_px: 73"), ["spots.1 has", "which the law gives"]
     ),
     "no law": (("law:\n  p1_px: 0.8\n  p2_px: 11\n", "law_:\n"), ["unknown key law_"]),
 }  # fmt: skip
@@ -101,14 +105,6 @@ def test_a_bad_file_gets_one_sentence(case, tmp_path):
     said = str(raised.value)
     assert said.startswith("m.yaml") and "\n" not in said
     assert all(word in said for word in words), said
-
-
-def test_an_effect_twice(tmp_path):
-    """An effect has one strength."""
-    text = model_text(with_effects(applied("smear", fraction=0.01), applied("smear", fraction=0.02)))
-    (tmp_path / "m.yaml").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="effect smear stands twice"):
-        read_model(tmp_path / "m.yaml")
 
 
 def test_no_model_says_why(tmp_path):

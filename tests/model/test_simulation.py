@@ -90,17 +90,6 @@ def test_simulated_frames_scatter_about_their_mean(tmp_path):
         assert pixels.sum() == pytest.approx(light + 40 * pixels.size, abs=5 * np.sqrt(variance)), index
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_equal_seeds_give_equal_folders(tmp_path, seed):
-    """Byte by byte; another seed gives other frames and the same design."""
-    ds = three(tmp_path / "in")
-    for name, own in (("a", 3), ("b", seed)):
-        simulate(ds, calibration(), own_fits(ds, 1, 1), SENSOR, tmp_path / name, own)
-    stacks = [(tmp_path / name / simulation.STACK).read_bytes() for name in "ab"]
-    assert (stacks[0] == stacks[1]) == (seed == 3)
-    assert (tmp_path / "a" / "manifest.csv").read_bytes() == (tmp_path / "b" / "manifest.csv").read_bytes()
-
-
 @pytest.mark.parametrize("amplitude", [300.0, np.nan])
 def test_without_a_law_each_frame_has_its_own_spot(tmp_path, amplitude):
     """A skipped calibration, no sensor: rounded mean images of each frame's fit; a frame without a fit stays dark."""

@@ -1,14 +1,10 @@
 """Extended models for tests: effects by name, and the text of model.yaml."""
 
-import json
-from collections.abc import Iterator
-from dataclasses import asdict
-
 import numpy as np
 
+from spotcheck.model import model_writer
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
-from spotcheck.model.light_shape import LIGHT
 from spotcheck.model.model_file import ExtendedModel
 
 
@@ -22,30 +18,5 @@ def applied(name: str, variant: str | None = None, **values: float) -> AppliedEf
 
 
 def model_text(model: ExtendedModel) -> str:
-    """Return the content of model.yaml; numbers have nine digits."""
-    return "\n".join(_lines(model)) + "\n"
-
-
-def _lines(model: ExtendedModel) -> Iterator[str]:
-    yield "schema: 1"
-    yield f"frame: {{rows_px: {model.rows}, columns_px: {model.columns}}}"
-    yield f"exposure: {{longest_s: {model.longest_s:.9g}, reference_s: {model.reference_s:.9g}}}"
-    if model.lights:
-        yield f"light: {LIGHT}"
-    if model.law is not None:
-        yield "law:"
-        yield from (f"  {key}: {value:.9g}" for key, value in
-                    (("p1_px", model.law.p1), ("p2_px", model.law.p2), ("peak_dn", model.law.peak_dn)))  # fmt: skip
-    yield "effects:" if model.effects else "effects: []"
-    for applied_effect in model.effects:
-        yield f"  - name: {applied_effect.effect.name}"
-        if applied_effect.variant.value:
-            yield f"    form: {applied_effect.variant.value}"
-        yield "    parameters:"
-        for parameter in applied_effect.effect.parameters_of(applied_effect.variant):
-            yield f"      {parameter.name}: {applied_effect.parameters[parameter.name]:.9g}"
-    yield "spots:" if model.spots else "spots: []"
-    for site, spot in model.spots.items():
-        keys = asdict(site) | {"conditions": dict(site.conditions)} | asdict(spot)
-        # JSON is YAML as well.
-        yield f"  - {json.dumps({key: value for key, value in keys.items() if value not in (None, {})})}"
+    """Return the content of model.yaml."""
+    return model_writer.model_text(model, "set", "named")

@@ -20,6 +20,8 @@ from spotcheck.sensor.codes import compiled
 LIGHT = "light.nc"
 # Cubic splines need at least this many nodes along an axis.
 FEWEST_NODES = 4
+# Rows and columns of zeros around the coefficients: each point inside a shape then has four nodes along each axis.
+PADDING = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +37,13 @@ class LightShape:
         """Return s [1] at u, v [σ], arrays that broadcast."""
         u, v = np.asarray(u, float), np.asarray(v, float)
         values = np.empty(np.broadcast_shapes(u.shape, v.shape))
+        padded = np.pad(self.coefficients, PADDING)
         if u.ndim == v.ndim == 3 and u.shape[1] == v.shape[2] == 1 and len(u) == len(v):
             # Pixels of unturned frames [frame, row, column]: u depends on the column alone, v on the row.
-            fill_spline_of_frames(self.coefficients, 1 / self.step, u[:, 0], v[:, :, 0], values)
+            fill_spline_of_frames(padded, 1 / self.step, u[:, 0], v[:, :, 0], values)
         else:
             u_of_point, v_of_point = (np.ravel(np.broadcast_to(places, values.shape)) for places in (u, v))
-            fill_spline(self.coefficients, 1 / self.step, u_of_point, v_of_point, values.reshape(-1))
+            fill_spline(padded, 1 / self.step, u_of_point, v_of_point, values.reshape(-1))
         return values if self.finer is None else values + self.finer(u, v)
 
 
@@ -60,14 +63,14 @@ def cubic_weights(fraction):
 
 
 @compiled
-def fill_spline(coefficients, steps_per_sigma, u, v, values):
+def fill_spline(padded, steps_per_sigma, u, v, values):
     """Write the values [point] of a spline at u, v [point] in σ into `values`.
 
-    `coefficients` [row, column] is square with the centre in the middle; `steps_per_sigma` is 1/distance of its nodes.
-    A value is Σ over rows and columns of row weight · column weight · coefficient, with the weights of the four nearest
-    nodes along each axis (`cubic_weights`); 0 outside.
+    `padded` [row, column] are the coefficients with `PADDING` on every side; they are square, with the centre in the
+    middle. `steps_per_sigma` is 1/distance of the nodes. A value is Σ over rows and columns of row weight · column
+    weight · coefficient, with the weights of the four nearest nodes along each axis (`cubic_weights`); 0 outside.
     """
-    nodes = coefficients.shape[0]
+    nodes = padded.shape[0] - 2 * PADDING
     middle = (nodes - 1) / 2
     for k in range(u.size):
         # Place of the point in steps, from the first node.
@@ -78,42 +81,35 @@ def fill_spline(coefficients, steps_per_sigma, u, v, values):
             continue
         column, row = math.floor(x), math.floor(y)
         column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
-        # Away from the edge all four neighbours exist; the compiler unrolls the sums without their bounds.
-        if 1 <= column < nodes - 2 and 1 <= row < nodes - 2:
-            for q in range(4):
-                line = coefficients[row + q - 1]
-                values[k] += row_weights[q] * (
-                    column_weights[0] * line[column - 1]
-                    + column_weights[1] * line[column]
-                    + column_weights[2] * line[column + 1]
-                    + column_weights[3] * line[column + 2]
-                )
-            continue
-        for q in range(max(0, 1 - row), min(4, nodes + 1 - row)):
-            total = 0.0
-            for p in range(max(0, 1 - column), min(4, nodes + 1 - column)):
-                total += column_weights[p] * coefficients[row + q - 1, column + p - 1]
-            values[k] += row_weights[q] * total
+        first = column + PADDING - 1
+        for q in range(4):
+            line = padded[row + PADDING - 1 + q]
+            values[k] += row_weights[q] * (
+                column_weights[0] * line[first]
+                + column_weights[1] * line[first + 1]
+                + column_weights[2] * line[first + 2]
+                + column_weights[3] * line[first + 3]
+            )
 
 
 @compiled
-def fill_spline_of_frames(coefficients, steps_per_sigma, u, v, values):
+def fill_spline_of_frames(padded, steps_per_sigma, u, v, values):
     """Write the values [frame, row, column] of a spline at u [frame, column], v [frame, row] in σ into `values`.
 
-    `coefficients` and `steps_per_sigma` are those of `fill_spline`, whose weighted sum over rows is here taken once for
-    all pixels of a row.
+    `padded` and `steps_per_sigma` are those of `fill_spline`, whose weighted sum over rows is here taken once for all
+    pixels of a row.
     """
-    nodes = coefficients.shape[0]
+    nodes = padded.shape[0] - 2 * PADDING
     middle = (nodes - 1) / 2
-    # Weights of the nodes of each pixel of a row, and sums over rows of nodes: those of node i at i + 3, 0 outside.
+    # Weights of the nodes of each pixel of a row, and index of the first of them in the sums over rows of nodes.
     weights, first = np.zeros((u.shape[1], 4)), np.zeros(u.shape[1], np.int64)
-    sums = np.zeros(nodes + 6)
+    sums = np.zeros(padded.shape[1])
     for frame in range(u.shape[0]):
         for k in range(u.shape[1]):
             x = u[frame, k] * steps_per_sigma + middle
             is_inside = -2.0 < x < nodes + 1.0
             column = math.floor(x) if is_inside else 0
-            first[k] = column + 2
+            first[k] = column + PADDING - 1
             for p, weight in enumerate(cubic_weights(x - column)):
                 weights[k, p] = weight if is_inside else 0.0
         for line in range(v.shape[1]):
@@ -122,8 +118,7 @@ def fill_spline_of_frames(coefficients, steps_per_sigma, u, v, values):
             if -2.0 < y < nodes + 1.0:
                 row = math.floor(y)
                 for q, weight in enumerate(cubic_weights(y - row)):
-                    if 0 <= row + q - 1 < nodes:
-                        sums[3 : nodes + 3] += weight * coefficients[row + q - 1]
+                    sums += weight * padded[row + PADDING - 1 + q]
             for k in range(u.shape[1]):
                 i = first[k]
                 values[frame, line, k] = (
