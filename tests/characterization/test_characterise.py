@@ -20,15 +20,9 @@ def test_arrays_and_folder_give_the_same_sensor(there):
     other = characterise_dataset("my-flats")
     assert list(found) == list(other) and len(found) == 26
     for name, own in found.items():
-        assert (own.name, own.symbol, own.unit, own.why) == (
-            name,
-            other[name].symbol,
-            other[name].unit,
-            other[name].why,
-        )
-        assert (own.value, own.stderr) == pytest.approx(
-            (other[name].value, other[name].stderr), rel=1e-12, nan_ok=True
-        ), name
+        again = other[name]
+        assert (own.name, own.symbol, own.unit, own.why) == (name, again.symbol, again.unit, again.why)
+        assert (own.value, own.stderr) == pytest.approx((again.value, again.stderr), rel=1e-12, nan_ok=True), name
 
 
 def test_a_sensor_without_photons_and_one_exposure():
@@ -64,10 +58,7 @@ NINE = np.zeros((3, 2, 4, 4))
 SHAPE = "dark: level 0 has the shape (4, 4); it must be [frame, row, column] with two frames"
 BAD_LEVELS = {
     "no level": ({"bright": []}, "bright: holds no level; give at least one pair of frames"),
-    "image": (
-        {"dark": [NINE[0, 0]]},
-        "dark: level 0 has the shape (4, 4); it must be [frame, row, column] with two frames",
-    ),
+    "image": ({"dark": [NINE[0, 0]]}, SHAPE),
     "single": ({"bright": NINE[:, :1]}, "bright: level 0 has a single frame, and noise needs two of one light"),
     "sizes": ({"dark": NINE[..., :3]}, "bright, dark: have frames of 4 × 3 and 4 × 4 pixels; all must have one size"),
     "NaN": ({"dark": NINE * np.nan}, "dark: level 0 holds NaN or infinity; every pixel must have a reading"),

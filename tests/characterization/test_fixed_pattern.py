@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from spotcheck.characterization.fixed_pattern import (
     MAX_SIDE,
@@ -15,6 +14,7 @@ from spotcheck.characterization.levels import measure_levels
 from spotcheck.characterization.photon_transfer import analyse_photon_transfer
 from spotcheck.characterization.transfer_data import build_transfer_dataset
 from spotcheck.dataset.folder import load
+from tests.samples.example_datasets import write_levels
 
 
 def test_a_spectrum_of_white_noise_is_flat():
@@ -47,21 +47,16 @@ def test_frequencies_of_odd_and_averaged_spectra(pixels):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Flats and darks of 40 × 600 px: columns 20 px apart are 4 DN up without light, and 1 % of the light."""
-    rng = np.random.default_rng(1)
-    base = tmp_path_factory.mktemp("pattern")
-    rows = ["file,kind,angle_deg,exposure_s,repeat,photons_per_px"]
+    rng, photons = np.random.default_rng(1), 900.0 * np.arange(1, 11)
     stripe = (np.arange(600) % 20 == 0).astype(float)
-    for k in range(10):
-        for kind, light in (("flat", 900.0 * (k + 1)), ("dark", 0.0)):
-            for repeat in range(2):
-                electrons = np.minimum(rng.poisson(light * (1 + 0.01 * stripe), (40, 600)), 8000)
-                frame = 50 + 4 * stripe + 0.3 * electrons + rng.normal(0, 2, (40, 600))
-                name = f"{kind}{k}_{repeat}.png"
-                Image.fromarray(np.rint(frame).astype(np.uint16)).save(base / name)
-                rows.append(f"{name},{kind},,{1e-3 * (k + 1):g},{repeat},{light if kind == 'flat' else ''}")
-    (base / "manifest.csv").write_text("\n".join(rows) + "\n")
-    (base / "instrument.yaml").write_text("crop_px: 24\nsensor: {bit_depth: 12}\n")
-    return base
+
+    def pair(light: float) -> np.ndarray:
+        electrons = np.minimum(rng.poisson(light * (1 + 0.01 * stripe), (2, 40, 600)), 8000)
+        return np.rint(50 + 4 * stripe + 0.3 * electrons + rng.normal(0, 2, (2, 40, 600))).astype(np.uint16)
+
+    base, bright, dark = tmp_path_factory.mktemp("pattern"), map(pair, photons), map(pair, np.zeros(10))
+    text = "crop_px: 24\nsensor: {bit_depth: 12}\n"
+    return write_levels(base, list(bright), list(dark), photons / 9e5, photons, text)
 
 
 def test_pictures_of_dark_and_half(folder):

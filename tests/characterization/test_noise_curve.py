@@ -115,26 +115,3 @@ def test_the_data_sheet_speaks_first(tmp_path):
     assert (model.gain_dn_per_e, model.read_noise_e, model.black_level_dn) == (0.2, 5, 3)
     assert model.full_scale_dn == 1023 and np.isinf(model.full_well_e)
     assert out["gain_dn_per_e"].attrs["source"] == "instrument.yaml" and np.isnan(out["gain_dn_per_e_stderr"])
-
-
-def test_gain_and_read_noise_from_frames(tmp_path):
-    """Both within 10 % from four frames, with the method named; without light they stay unknown, with the reason."""
-    ds = loaded(tmp_path, [np.zeros((9, 9), np.uint16)], "sensor: {bit_depth: 10, black_level_dn: 40}\ncrop_px: 8")
-    images = [noisy(light_of("spot", s), s).astype(float) for s in range(4)]
-    out = sensor_stage.choose_sensor_values(ds, END, images)
-    # The scatter of one frame is 3 % (test above).
-    assert float(out["gain_dn_per_e"]) == pytest.approx(0.11, rel=0.1)
-    assert float(out["read_noise_e"]) == pytest.approx(13.0, rel=0.1)
-    assert "4 frames" in out["gain_dn_per_e"].attrs["source"]
-    assert 0 < float(out["gain_dn_per_e_stderr"]) < 0.01
-    dark = [noisy(np.zeros((SIDE, SIDE)), 1).astype(float)]
-    unknown = sensor_stage.choose_sensor_values(ds, END, dark)
-    assert sensor_stage.read_sensor_model(unknown) is None
-    assert unknown["read_noise_e"].attrs["source"].startswith("unknown")
-
-
-def test_read_noise_comes_with_its_error(tmp_path):
-    """Estimated from frames like the gain, and with an error like it."""
-    ds = loaded(tmp_path, [np.zeros((9, 9), np.uint16)], "sensor: {bit_depth: 10, black_level_dn: 40}\ncrop_px: 8")
-    out = sensor_stage.choose_sensor_values(ds, END, [noisy(light_of("spot", s), s).astype(float) for s in range(4)])
-    assert np.isfinite(out["read_noise_e_stderr"])

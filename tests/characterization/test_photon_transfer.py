@@ -4,35 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
 
 from spotcheck.characterization.emva_quantities import QUANTITIES
 from spotcheck.characterization.levels import (
     Level,
     PatternVariances,
+    add_common_drift,
     estimate_pattern_variances,
     estimate_row_variances,
+    measure_level,
     measure_levels,
     read_photons,
 )
 from spotcheck.characterization.line_fits import fit_line, fit_through_zero
 from spotcheck.characterization.photon_transfer import analyse_photon_transfer
+from spotcheck.dataset.folder import load
 from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
+from tests.samples.small_datasets import HEADER, folder
 
 ROWS, COLUMNS, FULL = 48, 64, 4095.0
-
-
-def level(kind, exposure, photons, images, highest=FULL):
-    """A level of frames that are at hand."""
-    pairs = list(zip(images[::2], images[1::2], strict=False))
-    rows = np.concatenate([estimate_row_variances(a, b) for a, b in pairs]) if pairs else np.array([np.nan])
-    patterns = [estimate_pattern_variances(a, b) for a, b in pairs]
-    pattern = PatternVariances(*np.mean(patterns, axis=0)) if patterns else PatternVariances(*[np.nan] * 4)
-    mean = np.mean(images)
-    error = rows.std(ddof=1) / np.sqrt(rows.size) if pairs else np.nan
-    return Level(kind, exposure, photons, len(images), float(mean), float(np.std(images) / np.sqrt(np.size(images))),
-                 float(rows.mean()), float(error), float(np.mean([i <= 0 for i in images])),
-                 float(np.mean([i >= highest for i in images])), pattern, (ROWS, COLUMNS))  # fmt: skip
 
 
 class Sensor:
@@ -54,11 +46,12 @@ class Sensor:
     def levels(self, photons=None, frames=2, exposures=None):
         photons = np.linspace(500, 24000, 20) if photons is None else photons
         exposures = 1e-3 * np.arange(1, len(photons) + 1) if exposures is None else exposures
-        out = [level("dark", t, 0.0, [self.frame(0, t) for _ in range(frames)]) for t in exposures]
-        return out + [
-            level("flat", t, p, [self.frame(p, t) for _ in range(frames)])
-            for p, t in zip(photons, exposures, strict=True)
-        ]
+        plan = [("dark", t, 0.0) for t in exposures]
+        plan += [("flat", t, light) for light, t in zip(photons, exposures, strict=True)]
+        return add_common_drift([
+            measure_level((self.frame(light, t) for _ in range(frames)), kind, t, light, FULL)
+            for kind, t, light in plan
+        ])  # fmt: skip
 
 
 def test_lines():
@@ -183,28 +176,38 @@ def test_a_single_flat():
     assert why(pair, "full_well") == "no flat is saturated"
 
 
-def test_flats_without_darks():
-    flats = [own for own in plain(np.random.default_rng(7)) if own.kind == "flat"]
-    found = analyse_photon_transfer(flats, FULL)
-    assert why(found, "gain") == why(found, "dark_noise") == "there are no dark frames in pairs"
+NO_GAIN = {
+    "no darks": (lambda own: own if own.kind == "flat" else None, "there are no dark frames in pairs"),
+    "every flat saturated": (
+        lambda own: replace(own, mean=FULL, variance=0.0, at_full=1.0) if own.kind == "flat" else own,
+        "every flat is saturated",
+    ),
+    "flats darker than the darks": (
+        lambda own: replace(own, mean=own.mean + 2000) if own.kind == "dark" else own if own.photons < 9000 else None,
+        "no flat lies above its dark",
+    ),
+    "copies of one frame": (
+        lambda own: replace(own, variance=0.0, variance_error=0.0),
+        "the noise of the flats does not grow with their light",
+    ),
+}
 
 
-def test_all_saturated():
-    levels = plain(np.random.default_rng(8))
-    full = [replace(own, mean=FULL, variance=0.0, at_full=1.0) if own.kind == "flat" else own for own in levels]
-    found = analyse_photon_transfer(full, FULL)
-    assert why(found, "gain") == "every flat is saturated" and found.remarks == ["every flat is saturated"]
-    assert np.isfinite(found.quantities["dark_offset"].value)
+@pytest.mark.parametrize(("change", "reason"), NO_GAIN.values(), ids=NO_GAIN)
+def test_levels_that_give_no_gain(change, reason):
+    """Gain and full well have the reason; the dark offset, which needs darks alone, is known."""
+    levels = [level for own in plain(np.random.default_rng(7)) if (level := change(own)) is not None]
+    found = analyse_photon_transfer(levels, FULL)
+    assert why(found, "gain") == why(found, "full_well") == reason and found.saturation is None
+    assert np.isfinite(found.quantities["dark_offset"].value) == (reason != NO_GAIN["no darks"][1])
+    assert (reason in found.remarks) == (reason == "every flat is saturated")
 
 
 def test_one_exposure_for_all():
     """The light varies at one exposure: everything but the dark current, and the dark's own error in every point."""
     rng = np.random.default_rng(9)
     sensor = Sensor(rng)
-    photons = np.linspace(500, 24000, 20)
-    levels = [level("dark", 1e-3, 0.0, [sensor.frame(0, 1e-3) for _ in range(2)])]
-    levels += [level("flat", 1e-3, p, [sensor.frame(p, 1e-3) for _ in range(2)]) for p in photons]
-    found = analyse_photon_transfer(levels, FULL)
+    found = analyse_photon_transfer(sensor.levels(exposures=np.full(20, 1e-3))[19:], FULL)
     assert why(found, "dark_current") == "fewer than three exposures of darks"
     own = found.quantities["gain"]
     assert abs(own.value - 0.3) < 4 * own.stderr
@@ -234,14 +237,6 @@ def test_an_exposure_of_a_dark_that_is_not_given():
     assert abs(current.value - 4000) < 4 * current.stderr
 
 
-def test_flats_that_are_darker_than_the_darks():
-    """Long darks beside short flats: no gain, no level of saturation, and the reason that holds."""
-    levels = plain(np.random.default_rng(16))
-    bright = [replace(own, mean=own.mean + 2000) if own.kind == "dark" else own for own in levels if own.photons < 9000]
-    found = analyse_photon_transfer(bright, FULL)
-    assert why(found, "gain") == "no flat lies above its dark" and found.saturation is None
-
-
 def test_light_in_some_darks():
     levels = plain(np.random.default_rng(11))
     lit = [replace(own, mean=own.mean + 40, variance=own.variance + 12) if k in (2, 9) else own
@@ -250,14 +245,6 @@ def test_light_in_some_darks():
     assert found.remarks[0].startswith("2 of 20 dark levels hold light")
     assert found.quantities["dark_offset"].value == pytest.approx(30, abs=0.2)
     assert abs(found.quantities["gain"].value - 0.3) < 4 * found.quantities["gain"].stderr
-
-
-def test_copies_of_one_frame():
-    """Pairs without any difference hold no noise, and no gain."""
-    levels = plain(np.random.default_rng(14))
-    copies = [replace(own, variance=0.0, variance_error=0.0) for own in levels]
-    found = analyse_photon_transfer(copies, FULL)
-    assert why(found, "gain") == why(found, "full_well") == "the noise of the flats does not grow with their light"
 
 
 def test_darks_that_are_cut_at_zero():
@@ -278,27 +265,21 @@ def frame(text):
 
 def test_levels_of_a_folder_are_grouped(tmp_path):
     """By kind, exposure and light; darks first; the numbers are those of the images."""
-    from PIL import Image
-
-    from spotcheck.dataset.folder import load
-
-    rng = np.random.default_rng(13)
-    rows, images = ["file,kind,angle_deg,exposure_s,repeat,photons_per_px"], {}
+    rng, rows, images = np.random.default_rng(13), [], {}
     for kind, exposure, photons in (("flat", 1e-3, 900), ("dark", 1e-3, 0), ("flat", 1e-3, 300)):
         for repeat in range(3):
-            name = f"{kind}{photons}_{repeat}.png"
+            name = f"{kind}{photons}_{repeat}.tif"
             images[name] = rng.poisson(30 + photons, (40, 50)).astype(np.uint16)
-            Image.fromarray(images[name]).save(tmp_path / name)
+            tifffile.imwrite(tmp_path / name, images[name])
             # Repeats count on at an exposure, whatever the light.
             rows.append(f"{name},{kind},,{exposure},{repeat + photons},{photons if kind == 'flat' else ''}")
-    (tmp_path / "manifest.csv").write_text("\n".join(rows) + "\n")
-    (tmp_path / "instrument.yaml").write_text("crop_px: 24\nsensor: {bit_depth: 12}\n")
+    folder(tmp_path, rows, "crop_px: 24\nsensor: {bit_depth: 12}\n", f"{HEADER},photons_per_px")
     found = measure_levels(load(tmp_path), 4095.0)
     assert [(own.kind, own.photons, own.frames) for own in found] == [
         ("dark", 0, 3),
         ("flat", 300, 3),
         ("flat", 900, 3),
     ]
-    first, second = (images[f"flat300_{k}.png"].astype(float) for k in (0, 1))
+    first, second = (images[f"flat300_{k}.tif"].astype(float) for k in (0, 1))
     assert found[1].variance == pytest.approx(estimate_row_variances(first, second).mean())
-    assert found[1].mean == pytest.approx(np.mean([images[f"flat300_{k}.png"].mean() for k in range(3)]))
+    assert found[1].mean == pytest.approx(np.mean([images[f"flat300_{k}.tif"].mean() for k in range(3)]))

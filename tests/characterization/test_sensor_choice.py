@@ -52,6 +52,7 @@ def test_gain_and_read_noise_of_a_camera_without_a_data_sheet(tmp_path, seed):
         value, error = float(ds[name]), float(ds[f"{name}_stderr"])
         assert abs(value - truth) < 4 * error, (name, value, error)
     assert float(ds["gain_dn_per_e"]) == pytest.approx(0.25, rel=0.05)
+    assert "in 12 frames" in ds["gain_dn_per_e"].attrs["source"]
 
 
 def spots_that_stop(rng, level_e, exposures=(0.5, 1.0, 2.0), plateau=False):

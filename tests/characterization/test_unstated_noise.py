@@ -10,9 +10,7 @@ from scipy.ndimage import gaussian_filter
 from spotcheck.characterization.missing_codes import find_missing_codes
 from spotcheck.characterization.noise_curve import (
     GainEstimate,
-    fit_gain,
     measure_noise_correlation,
-    measure_noise_curve,
 )
 from spotcheck.characterization.spot_estimates import estimate_from_spots
 from spotcheck.sensor import ROUNDING_VARIANCE
@@ -118,10 +116,3 @@ def test_compressed_frames_are_not_white():
     found = [measure_noise_correlation(image, 255.0) for image in images]
     assert np.median([own.range_px for own in found]) >= 2 and sum(own.is_white for own in found) <= 1
     assert "share noise" in estimate_from_spots(images, {}, None, 255.0).method
-
-
-def test_no_more_than_a_line_of_noise():
-    """What bends where the spot is narrow, 5 px, does not count as noise: within 5 errors and 5 %."""
-    image = frame(9, width=5.0, side=120)
-    own = fit_gain(measure_noise_curve(image, 255.0), BLACK)
-    assert own is None or abs(own.gain - GAIN) < 5 * own.gain_stderr + 0.05 * GAIN

@@ -33,17 +33,21 @@ def levels() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return np.stack([camera.draw(np.full((2, 48, 64), own), rng) for own in photons]), dark, photons / 1.5e6, photons
 
 
-def flats(base: Path) -> Path:
-    """The same as a dataset folder."""
-    bright, dark, exposures, photons = levels()
-    (base / "frames").mkdir(parents=True)
+def write_levels(base: Path, bright, dark, exposures, photons, instrument: str) -> Path:
+    """Write frames [level, frame, row, column] of flats and darks; each level has an exposure [s] and photons."""
+    (base / "frames").mkdir(parents=True, exist_ok=True)
     rows = [f"{HEADER},photons_per_px"]
     for kind, stack in (("dark", dark), ("flat", bright)):
-        for k, (pair, exposure, own) in enumerate(zip(stack, exposures, photons, strict=True)):
-            for repeat, image in enumerate(pair):
+        for k, (images, exposure, own) in enumerate(zip(stack, exposures, photons, strict=True)):
+            for repeat, image in enumerate(images):
                 tifffile.imwrite(base / f"frames/{kind}{k}_{repeat}.tif", image)
                 light = own if kind == "flat" else ""
                 rows.append(f"frames/{kind}{k}_{repeat}.tif,{kind},,{float(exposure)!r},{repeat},{light}")
     (base / "manifest.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    (base / "instrument.yaml").write_text("name: my flats\nsensor: {bit_depth: 12}\n", encoding="utf-8")
+    (base / "instrument.yaml").write_text(instrument, encoding="utf-8")
     return base
+
+
+def flats(base: Path) -> Path:
+    """The same as a dataset folder."""
+    return write_levels(base, *levels(), "name: my flats\nsensor: {bit_depth: 12}\n")

@@ -6,7 +6,7 @@ Photon transfer is the analysis of the noise of levels against their mean readin
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from spotcheck.io import store
 from spotcheck.io.number_text import quantity_text
 
 
-class Characterisation(Mapping[str, Quantity]):
+class Characterisation(dict[str, Quantity]):
     """Quantities of EMVA 1288 of a sensor by name, from its flats and darks.
 
     The value of each name has the attributes `value`, `stderr`, `unit`, `symbol` (of the standard) and `why`: the
@@ -54,17 +54,9 @@ class Characterisation(Mapping[str, Quantity]):
     """
 
     def __init__(self, transfer: Transfer, title: str, name: str) -> None:
+        super().__init__(transfer.quantities)
         self.levels, self.remarks = transfer, transfer.remarks
         self._title, self._name = title, name
-
-    def __getitem__(self, name: str) -> Quantity:
-        return self.levels.quantities[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.levels.quantities)
-
-    def __len__(self) -> int:
-        return len(self.levels.quantities)
 
     def __repr__(self) -> str:
         """Return a table: a title, one line for each quantity, and the remarks."""
@@ -235,18 +227,15 @@ def _check_levels(levels: Sequence[ArrayLike], name: str, full_scale_dn: float) 
     if not stacks:
         raise ValueError(f"{name}: holds no level; give at least one pair of frames")
     for index, stack in enumerate(stacks):
+        where = f"{name}: level {index}"
         if stack.ndim != 3 or not stack.size:
-            raise ValueError(
-                f"{name}: level {index} has the shape {stack.shape}; it must be [frame, row, column] with two frames"
-            )
+            raise ValueError(f"{where} has the shape {stack.shape}; it must be [frame, row, column] with two frames")
         if len(stack) < 2:
-            raise ValueError(f"{name}: level {index} has a single frame, and noise needs two of one light")
+            raise ValueError(f"{where} has a single frame, and noise needs two of one light")
         if not np.isfinite(stack).all():
-            raise ValueError(f"{name}: level {index} holds NaN or infinity; every pixel must have a reading")
+            raise ValueError(f"{where} holds NaN or infinity; every pixel must have a reading")
         if stack.max() > full_scale_dn:
-            raise ValueError(
-                f"{name}: level {index} holds {stack.max():g} DN, above the {full_scale_dn:g} of bit_depth; correct it"
-            )
+            raise ValueError(f"{where} holds {stack.max():g} DN, above the {full_scale_dn:g} of bit_depth; correct it")
     return stacks
 
 

@@ -43,7 +43,7 @@ def select_dark_levels(
     darks, spots : means of blocks, rows and columns [DN] of each dark frame and of each frame with a spot.
     full_scale_dn : largest reading of the converter [DN].
     """
-    levels_and_means = [(measure_frame_level(frame), float(np.nanmean(frame.row_mean))) for frame in darks]
+    levels_and_means = [(min(_list_medians(frame)), float(np.nanmean(frame.row_mean))) for frame in darks]
     spot_medians = [_list_medians(frame) for frame in spots]
     all_levels = [level for level, _ in levels_and_means] + [min(medians) for medians in spot_medians]
     darkest_dn = min(all_levels, default=np.nan)
@@ -63,16 +63,11 @@ def select_dark_levels(
     return DarkLevels(unlit_levels, remark, darkest_dn, dark_pixels)
 
 
-def measure_frame_level(frame: ReducedFrame) -> float:
-    """Return the level of a frame beside its spot [DN]: the lowest of the medians of its row, column and block means.
-
-    A spot and hot pixels hardly change it. NaN means do not count.
-    """
-    return min(_list_medians(frame))
-
-
 def _list_medians(frame: ReducedFrame) -> list[float]:
-    """Return the medians of the block, row and column means of a frame [DN]; NaN means do not count."""
+    """Return the medians of the block, row and column means of a frame [DN]; NaN means do not count.
+
+    The lowest one is the level of the frame beside its spot: a spot and hot pixels hardly change it.
+    """
     return [float(np.nanmedian(values)) for values in frame]
 
 

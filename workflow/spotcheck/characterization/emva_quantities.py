@@ -63,16 +63,15 @@ class Quantity:
 class QuantityTable(dict[str, Quantity]):
     """Quantities by name. A later entry of the same name replaces an earlier one."""
 
-    def set(self, name: str, value: float, stderr: float) -> None:
+    def set(self, name: str, value: float, stderr: float, why: str = "") -> None:
         """Enter a value and its standard error, both in the unit that `QUANTITIES` gives for the name."""
         symbol, unit, _ = QUANTITIES[name]
-        self[name] = Quantity(name, symbol, float(value), float(stderr), unit)
+        self[name] = Quantity(name, symbol, float(value), float(stderr), unit, why)
 
     def set_unknown(self, names: Iterable[str], reason: str) -> None:
         """Mark the named quantities as unknown, with the reason as a phrase; earlier values are replaced."""
         for name in names:
-            symbol, unit, _ = QUANTITIES[name]
-            self[name] = Quantity(name, symbol, np.nan, np.nan, unit, reason)
+            self.set(name, np.nan, np.nan, reason)
 
     def fill_unknown(self, reason: str) -> None:
         """Mark all quantities that have no entry yet as unknown, with the reason as a phrase."""

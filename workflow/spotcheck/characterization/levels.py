@@ -14,7 +14,7 @@ import numpy as np
 from spotcheck.characterization.noise_curve import measure_pair_correlation
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
-from spotcheck.dataset.manifest import PHOTONS, Frame
+from spotcheck.dataset.manifest import PHOTONS, Frame, parse_number
 from spotcheck.errors import InputError
 from spotcheck.io import progress
 from spotcheck.sensor import SensorModel
@@ -176,11 +176,8 @@ def read_photons(frame: Frame) -> float:
     text = (frame.extra.get(PHOTONS) or "").strip()
     if not text:
         return np.nan
-    try:
-        photons = float(text)
-    except ValueError:
-        photons = np.nan
-    if not (np.isfinite(photons) and photons >= 0):
+    photons = parse_number(text)
+    if photons is None or photons < 0:
         raise InputError(f"manifest.csv: {frame.label}: {PHOTONS} is {text!r}; it must be a number, 0 or more")
     return photons
 

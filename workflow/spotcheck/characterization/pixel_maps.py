@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from numpy.polynomial import legendre
 
 from spotcheck.characterization.derived_quantities import MAX_PART_AT_ZERO
 from spotcheck.characterization.levels import group_frames
@@ -34,8 +35,8 @@ OUTLIER_SD, MAD_TO_SIGMA = 6.0, 1.4826
 # Degree of the polynomial for the unevenness of light, and number of blocks along the shorter side to which it is
 # fitted.
 DEGREE, BLOCKS = 4, 32
-# Degrees (j, k) in y and x of the terms of the polynomial.
-TERMS = [(j, k) for j in range(DEGREE + 1) for k in range(DEGREE + 1 - j)]
+# True for the terms of the polynomial [degree in y, degree in x], whose degrees sum to at most `DEGREE`.
+IS_TERM = np.add.outer(np.arange(DEGREE + 1), np.arange(DEGREE + 1)) <= DEGREE
 
 # Map → (unit, meaning).
 MAPS = {
@@ -192,24 +193,13 @@ def fit_light(image: np.ndarray) -> np.ndarray:
     side = max(1, min(image.shape) // BLOCKS)
     blocks = frames.average_blocks(image, side)
     is_known = np.isfinite(blocks)
-    # Polynomials at the centres of the blocks, along y and x.
-    in_y, in_x = (
-        _evaluate_legendre(side * np.arange(count) + (side - 1) / 2, length)
-        for count, length in zip(blocks.shape, image.shape, strict=True)
-    )
-    design = np.array([np.outer(in_y[j], in_x[k])[is_known] for j, k in TERMS]).T
-    coefficients = np.zeros((DEGREE + 1, DEGREE + 1))
-    coefficients[tuple(zip(*TERMS, strict=True))] = np.linalg.lstsq(design, blocks[is_known])[0]
-    in_y, in_x = (_evaluate_legendre(np.arange(length, dtype=float), length) for length in image.shape)
-    return in_y.T @ coefficients @ in_x
-
-
-def _evaluate_legendre(position: np.ndarray, length: int) -> np.ndarray:
-    """Return Legendre polynomials [degree, position], up to `DEGREE`, at positions [px] along a side of `length` px.
-
-    The side is scaled to −1 … 1.
-    """
-    return np.polynomial.legendre.legvander((2 * position + 1) / length - 1, DEGREE).T
+    # Centres of the blocks along y and x; each side of the frame is scaled to −1 … 1.
+    centres = (side * (2 * np.arange(count) + 1) / length - 1
+               for count, length in zip(blocks.shape, image.shape, strict=True))  # fmt: skip
+    design = legendre.legvander2d(*np.meshgrid(*centres, indexing="ij"), [DEGREE, DEGREE])[is_known]
+    coefficients = np.zeros(IS_TERM.shape)
+    coefficients[IS_TERM] = np.linalg.lstsq(design[:, IS_TERM.ravel()], blocks[is_known])[0]
+    return legendre.leggrid2d(*((2 * np.arange(length) + 1) / length - 1 for length in image.shape), coefficients)
 
 
 def build_maps_dataset(maps: SensorMaps | str, title: str, name: str) -> xr.Dataset:
