@@ -193,13 +193,15 @@ def fit_light(image: np.ndarray) -> np.ndarray:
     side = max(1, min(image.shape) // BLOCKS)
     blocks = frames.average_blocks(image, side)
     is_known = np.isfinite(blocks)
-    # Centres of the blocks along y and x; each side of the frame is scaled to −1 … 1.
-    centres = (side * (2 * np.arange(count) + 1) / length - 1
-               for count, length in zip(blocks.shape, image.shape, strict=True))  # fmt: skip
-    design = legendre.legvander2d(*np.meshgrid(*centres, indexing="ij"), [DEGREE, DEGREE])[is_known]
+    # Centres of the blocks and of the pixels along y and x; each side of the frame is scaled to −1 … 1.
+    block_y, block_x = (side * (2 * np.arange(count) + 1) / length - 1
+                        for count, length in zip(blocks.shape, image.shape, strict=True))  # fmt: skip
+    y, x = ((2 * np.arange(length) + 1) / length - 1 for length in image.shape)
+    down, right = np.meshgrid(block_y, block_x, indexing="ij")
+    design = legendre.legvander2d(down, right, [DEGREE, DEGREE])[is_known]
     coefficients = np.zeros(IS_TERM.shape)
     coefficients[IS_TERM] = np.linalg.lstsq(design[:, IS_TERM.ravel()], blocks[is_known])[0]
-    return legendre.leggrid2d(*((2 * np.arange(length) + 1) / length - 1 for length in image.shape), coefficients)
+    return legendre.leggrid2d(y, x, coefficients)
 
 
 def build_maps_dataset(maps: SensorMaps | str, title: str, name: str) -> xr.Dataset:
