@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm, poisson
+from scipy.stats import poisson
 
 from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
 from spotcheck.sensor.faint import (
@@ -60,40 +60,6 @@ def test_every_row_against_the_plain_sum(sensor):
         # Readings of a hundred DN: 1e-12 of them all moves a second moment by 1e-8.
         assert table.mean[i] == pytest.approx(mean, abs=1e-9)
         assert table.variance[i] == pytest.approx(variance, abs=1e-8)
-
-
-def test_small_probabilities_keep_their_digits():
-    """A fit divides by them: at no light, where they are intervals of the normal law, from either tail.
-
-    Beyond 8.5 standard deviations, at probabilities of 1e-17, they are left out.
-    """
-    sensor = SENSORS["quiet"]
-    table = tabulate_faint_light(sensor)
-    row = table.probability[np.argmin(np.abs(table.levels))]
-    upper = np.arange(row.size) > sensor.black_level_dn
-    low, high = ((np.arange(row.size) + side - sensor.black_level_dn) / 3.0 for side in (-0.5, 0.5))
-    want = np.where(upper, norm.sf(low) - norm.sf(high), norm.cdf(high) - norm.cdf(low))
-    seen = (np.arange(row.size) > 0) & (np.maximum(np.abs(low), np.abs(high)) < 8.4)
-    assert want[seen].min() < 1e-14
-    # Exponents of 35 carry 4e-15.
-    np.testing.assert_allclose(row[seen], want[seen], rtol=1e-12)
-
-
-@every_sensor
-def test_slope_is_the_derivative(sensor):
-    """∂P/∂ν against differences of the plain sum at five points, on one side of 0.
-
-    Their error is at most h⁴/5 of a fifth derivative, itself below 1.2/0.4⁵ for the quietest read noise: 6e-9.
-    """
-    table = tabulate_faint_light(sensor)
-    for i in some_levels(table):
-        nu, h = table.levels[i], 4e-3
-        # Read noise alone moves a reading below 0 and Poisson counts above: differences stay on one side.
-        nodes = np.arange(-2, 3) if abs(nu) > 2.5 * h else np.arange(5) if nu >= -h / 2 else np.arange(-4, 1)
-        at = np.where(nodes == 0, nu, nu + h * nodes)
-        weights = np.linalg.solve(np.vander(nodes, increasing=True).T.astype(float), np.eye(5)[1]) / h
-        want = weights @ np.array([cut(reading_law(v, sensor), table.probability.shape[1]) for v in at])
-        np.testing.assert_allclose(table.slope[i], want, rtol=0, atol=2e-8)
 
 
 @every_sensor

@@ -12,6 +12,7 @@ from scipy.stats import chi2, norm
 
 from spotcheck.sensor import ReadingDistribution, SensorModel
 from spotcheck.sensor.sampling import CODE_SHIFT, LEAST_NOISE_E, NODES_PER_SD, WORD_SHIFT, AliasTables, tabulate_aliases
+from tests.samples.reading_distributions import LEVELS, dead_zone, sensor, upper_end
 
 SAMPLES = 1_000_000
 LIGHTS = 20
@@ -21,21 +22,9 @@ FALSE_ALARM = 1e-4
 LEAST_EXPECTED = 100.0
 
 
-def sensor(gain, noise_e, bits, black=0.0, well_e=np.inf, bend=0.0, dark_e=0.0, **stages) -> ReadingDistribution:
-    """Return the distribution of a sensor whose exposure is 1 s."""
-    return ReadingDistribution(
-        SensorModel(gain, noise_e, dark_e, well_e, black, 2.0**bits - 1, 1.0, bend), exposure_s=1.0, **stages
-    )
-
-
 def soft_full_well(x):
     """A charge that fills softly towards 150 DN."""
     return x / np.sqrt(1 + (x / 150.0) ** 2)
-
-
-def dead_zone(x):
-    """A digital stage that reads 0 below 6.2 DN."""
-    return np.where(x < 6.2, 0.0, x)
 
 
 def clip_at_90(x):
@@ -56,12 +45,6 @@ SENSORS = {
     "all stages": sensor(0.5, 2.0, 8, 3.3, 600.0, smear_e=7.0, charge=(soft_full_well,), digital=(dead_zone,)),
     "charge clip": sensor(0.5, 6.0, 8, 3.3, charge=(clip_at_90,)),
 }
-
-
-def upper_end(reading: ReadingDistribution) -> float:
-    """Return the light [DN] at which the sensor is full or reads full scale, whichever is less."""
-    model = reading.sensor
-    return min(model.full_well_e * model.gain_dn_per_e, model.full_scale_dn - model.black_level_dn)
 
 
 def lights_between_nodes(reading: ReadingDistribution) -> np.ndarray:
@@ -196,8 +179,7 @@ def test_values_of_single_pixels(light):
 @pytest.mark.parametrize("noise_e", [0.0, 5.0])
 def test_shares_of_pixels_with_their_own_clip_level(noise_e):
     """Readings of pixels whose charge stops at one of three levels follow the mixture; false-alarm rate 1e-4."""
-    levels = ((0.3, 20.0), (0.45, 33.3), (0.25, 52.0))
-    reading = sensor(0.5, noise_e, 8, 3.3, smear_e=2.0, charge_levels=levels)
+    reading = sensor(0.5, noise_e, 8, 3.3, smear_e=2.0, charge_levels=LEVELS)
     rng, codes = np.random.default_rng(4), np.arange(256)
     lights = (1.0, 15.0, 24.0, 35.0, 60.0, 200.0)
     assert_p_values([p_value(reading.sample(np.full(SAMPLES, at), rng), reading.pmf(codes, at)) for at in lights])

@@ -31,15 +31,13 @@ POISSON_MARGIN = 14
 
 
 class Cumulants(NamedTuple):
-    """Cumulants of a reading, their derivatives and the Fisher information, each an array with one item per mean ν.
+    """Mean and variance of a reading, their derivatives and the Fisher information, each with one item per mean ν.
 
     Derivatives and information are with respect to the light L [DN]: the signal K ν, with the gain K [DN/e-].
     """
 
     mean: np.ndarray  # [DN]
     variance: np.ndarray  # [DN²]
-    third: np.ndarray  # third cumulant [DN³]
-    fourth: np.ndarray  # fourth cumulant [DN⁴]: fourth central moment − 3 variance²
     mean_slope: np.ndarray  # d mean/dL [1]
     variance_slope: np.ndarray  # d variance/dL [DN]
     information: np.ndarray  # Fisher information of one reading on L [1/DN²]
@@ -61,14 +59,6 @@ class CodeProbabilities(NamedTuple):
         """Code of each column [code] in DN."""
         return self.first_code + np.arange(self.probability.shape[1])
 
-    def score(self) -> np.ndarray:
-        """Return the score ∂ ln P/∂ν = `slope` / `probability` [mean, code] in 1/e-.
-
-        It is NaN where P is 0, or so close to the smallest floating-point number that the ratio has no valid digits.
-        """
-        is_possible = self.probability > 1e-300
-        return np.where(is_possible, self.slope, np.nan) / np.where(is_possible, self.probability, 1.0)
-
     def cumulants(self, gain_dn_per_e: float = 1.0) -> Cumulants:
         """Return the cumulants of a reading at each mean ν.
 
@@ -78,13 +68,15 @@ class CodeProbabilities(NamedTuple):
         mean = self.probability @ self.codes
         deviation = self.codes - mean[:, None]
         square = deviation**2
-        powers = square, square * deviation, square**2
-        variance, third, fourth = ((self.probability * power).sum(axis=1) for power in powers)
+        variance = (self.probability * square).sum(axis=1)
         # The slopes of all codes sum to 0, so that deviations from the mean may replace the codes.
         mean_slope, variance_slope = ((self.slope * power).sum(axis=1) / gain_dn_per_e for power in (deviation, square))
-        # Σ (∂P/∂ν)²/P. Codes without a score, whose probability is negligible, are skipped.
-        information = np.nansum(self.slope * self.score(), axis=1) / gain_dn_per_e**2
-        return Cumulants(mean, variance, third, fourth - 3 * variance**2, mean_slope, variance_slope, information)
+        # The score ∂ ln P/∂ν. It is 0 where P is 0, or so close to the smallest floating-point number that the ratio
+        # has no valid digits.
+        is_possible = self.probability > 1e-300
+        score = np.divide(self.slope, self.probability, out=np.zeros_like(self.slope), where=is_possible)
+        information = np.sum(self.slope * score, axis=1) / gain_dn_per_e**2
+        return Cumulants(mean, variance, mean_slope, variance_slope, information)
 
 
 @compiled

@@ -115,13 +115,6 @@ class ReadingDistribution:
         """Return P(at most y | L) of readings [DN] at light [DN]; both broadcast."""
         return self._at_readings(reading, light, lambda codes: np.cumsum(codes.probability, axis=1), (0.0, 1.0))
 
-    def score(self, reading: ArrayLike, light: ArrayLike) -> np.ndarray:
-        """Return ∂ ln P(y | L)/∂L [1/DN] of readings [DN] at light [DN]; both broadcast.
-
-        NaN where a reading is so improbable, below about 1e-17, that no number is known.
-        """
-        return self._at_readings(reading, light, CodeProbabilities.score, (np.nan, np.nan)) / self.sensor.gain_dn_per_e
-
     # Moments.
 
     def mean(self, light: ArrayLike) -> np.ndarray:
@@ -137,7 +130,7 @@ class ReadingDistribution:
         return self.cumulants(light).information
 
     def cumulants(self, light: ArrayLike) -> Cumulants:
-        """Return all cumulants, their slopes and the information at light [DN] in one pass, in the light's shape."""
+        """Return mean, variance, their slopes and the information at light [DN] in one pass, in the light's shape."""
         light = np.asarray(light, float)
         mean_e, index = np.unique(self.mean_electrons(light), return_inverse=True)
         cumulants = np.empty((len(Cumulants._fields), mean_e.size))

@@ -1,4 +1,4 @@
-"""Mean, variance and information of a reading as a table over the light, for everything that evaluates many pixels.
+"""Mean and variance of a reading as a table over the light, for everything that evaluates many pixels.
 
 The light L is the gain K [DN/e-] times the mean photo-electrons of a pixel: the signal in DN (digital numbers) without
 black level. A slope is a derivative by L. Brackets give the shape of an array: [node] has one item per node, and
@@ -78,21 +78,19 @@ _LOCK = Lock()
 class ReadingTable:
     """Mean and variance of a reading over the light L [DN], interpolated.
 
-    Nodes are uniform in u = √(L/K + µ_d + s²), with the dark electrons µ_d and a noise s, both in e-. For negative
-    light the mean continues as a straight line and the variance as an exponential: both stay smooth, so that fits
-    converge there. Beyond the last node both stay constant.
+    Nodes are `NODE_STEP` apart in u = √(L/K + µ_d + s²), with the dark electrons µ_d and a noise s, both in e-. For
+    negative light the mean continues as a straight line and the variance as an exponential: both stay smooth, so that
+    fits converge there. Beyond the last node both stay constant.
     """
 
     gain: float  # K [DN/e-]
     first_root: float  # u of the first node [e-^½], that of no light: √(µ_d + s²)
-    step: float  # distance between nodes in u [e-^½]
     nodes: np.ndarray  # mean [DN], variance [DN²], d mean/dL [1] and d variance/dL [DN] at the nodes [moment, node]
-    distribution: ReadingDistribution | None = None  # distribution of the readings; None with a random factor
 
     @cached_property
     def light(self) -> np.ndarray:
         """Light at the nodes [node] in DN."""
-        root = self.first_root + self.step * np.arange(self.nodes.shape[1])
+        root = self.first_root + NODE_STEP * np.arange(self.nodes.shape[1])
         return self.gain * (root**2 - self.first_root**2)
 
     def mean(self, light: np.ndarray) -> np.ndarray:
@@ -114,7 +112,7 @@ class ReadingTable:
         if np.ndim(smear_e) == 0 and smear_e == 0.0:
             light = np.asarray(light, float)
             moments = np.empty((4, light.size))
-            interpolate(light.reshape(-1), self.gain, self.first_root, self.step, self.nodes, moments)
+            interpolate(light.reshape(-1), self.gain, self.first_root, self.nodes, moments)
             return ReadingMoments(*moments.reshape(4, *light.shape))
         light = light + self.gain * smear_e
         step = SMEAR_STEP * self.gain * np.sqrt(np.maximum(light / self.gain, 0.0) + self.first_root**2)
@@ -128,51 +126,14 @@ class ReadingTable:
         mean, variance = shot.mean - excess * mean_curvature / 2, np.maximum(variance, LEAST_SHARE * shot.variance)
         return ReadingMoments(mean, variance, shot.mean_slope, shot.variance_slope)
 
-    def information(self, light: np.ndarray) -> np.ndarray:
-        """Return the Fisher information [1/DN²] of a reading on the light, at light [DN].
-
-        Its reciprocal is interpolated: without clips it is a straight line in the light. The error is below 2 % where
-        the mean exceeds half an electron. With a random factor it is a lower bound, that of a fit to the mean alone.
-        """
-        return 1 / np.interp(light, self.light, 1 / np.maximum(self._node_information, 1e-300))
-
-    @cached_property
-    def _node_information(self) -> np.ndarray:
-        """Fisher information on the light at the nodes [node] in 1/DN²; 0 where readings no longer change."""
-        _, variance, mean_slope, variance_slope = self.nodes
-        if self.distribution is None:
-            return mean_slope**2 / np.maximum(variance, 1e-12)
-        is_changing = (mean_slope != 0) | (variance_slope != 0)
-        information = np.zeros(mean_slope.size)
-        information[is_changing] = self.distribution.fisher_information(self.light[is_changing])
-        return information
-
-    def with_granular_light(self, contrast: float, pedestal_dn: float = 0.0) -> ReadingTable:
-        """Return the table of readings under light that a granular field multiplies.
-
-        The light of a pixel is g L + `pedestal_dn`, where g follows a gamma distribution of mean 1 and variance C², as
-        sums of independent speckle patterns do. The new table is over L, the mean of the granular light alone. Where
-        readings clip, granular light changes their mean too, and not only their variance. This table is constant beyond
-        its last node. It must therefore reach the brightest light, (1 + 8 C + 25 C²) L + `pedestal_dn`
-        (`grain_quadrature`), or saturation.
-
-        Parameters
-        ----------
-        contrast : float
-            Speckle contrast C in a pixel [1], 0 or above.
-        pedestal_dn : float
-            Light beside the granular light [DN], the same in each pixel.
-
-        References
-        ----------
-        Goodman, Speckle Phenomena in Optics, 2nd ed., Section 3.3.
-        """
-        return self.with_random_factor(*grain_quadrature(contrast=contrast), pedestal_dn)
-
     def with_random_factor(
         self, factor: np.ndarray, weight: np.ndarray, pedestal_dn: float = 0.0, light_max: float = np.inf
     ) -> ReadingTable:
         """Return the table of readings whose light L is multiplied by a random factor; it is over L.
+
+        Where readings clip, the factor changes their mean too, and not only their variance. This table is constant
+        beyond its last node. It must therefore reach the brightest light, the largest factor times L plus
+        `pedestal_dn`, or saturation.
 
         Parameters
         ----------
@@ -190,7 +151,7 @@ class ReadingTable:
             mixed[:, ~is_faint] = self._convolve(factor, weight, float(log_steps[0]), pedestal_dn, light[~is_faint])
         for k in np.flatnonzero(is_faint):
             mixed[:, k] = _mix(self.moments(factor * light[k] + pedestal_dn), factor, weight)
-        return replace(self, nodes=mixed, distribution=None)
+        return replace(self, nodes=mixed)
 
     def _convolve(
         self, factor: np.ndarray, weight: np.ndarray, step: float, pedestal_dn: float, light: np.ndarray
@@ -232,8 +193,9 @@ def _mix(moments: ReadingMoments, factor: np.ndarray, weight: np.ndarray) -> tup
 def grain_quadrature(*, contrast: float) -> tuple[np.ndarray, np.ndarray]:
     """Return factors g of granular light and their weights, both [value]: a gamma distribution of mean 1, variance C².
 
-    `contrast` is C [1]. Weights sum to 1. Values are uniform in ln g, where the trapezoidal rule of a smooth density
-    converges faster than any power of the step.
+    Sums of independent speckle patterns have this distribution (Goodman, Speckle Phenomena in Optics, 2nd ed., Section
+    3.3). `contrast` is C [1]. Weights sum to 1. Values are uniform in ln g, where the trapezoidal rule of a smooth
+    density converges faster than any power of the step.
     """
     if contrast < FINEST_GRAIN_STEP:
         return _low_contrast_quadrature(contrast)
@@ -305,7 +267,7 @@ def _tabulate(distribution: ReadingDistribution, light_max: float) -> ReadingTab
     # Moments stay those of the last node, with slopes of 0.
     saturated_node = nodes[:, -1:] * [[1.0], [1.0], [0.0], [0.0]]
     nodes = np.concatenate([nodes, np.repeat(saturated_node, saturated_count, axis=1)], axis=1)
-    return ReadingTable(gain, first_root, NODE_STEP, nodes, distribution)
+    return ReadingTable(gain, first_root, nodes)
 
 
 @lru_cache(maxsize=32)
@@ -346,10 +308,10 @@ def saturating_electrons(distribution: ReadingDistribution) -> float:
 
 
 @compiled
-def interpolate(light, gain, first_root, step, nodes, moments):
+def interpolate(light, gain, first_root, nodes, moments):
     """Fill `moments` [4, pixel] with mean, variance and their slopes at light [pixel] in DN; NaN for NaN light.
 
-    `gain`, `first_root`, `step` and `nodes` are those of a `ReadingTable`.
+    `gain`, `first_root` and `nodes` are those of a `ReadingTable`.
     """
     last = nodes.shape[1] - 1
     offset = first_root * first_root
@@ -364,13 +326,13 @@ def interpolate(light, gain, first_root, step, nodes, moments):
             moments[1, k] = nodes[1, 0] * math.exp(max(rate * pixel_light, LOWEST_EXPONENT))
             moments[3, k] = rate * moments[1, k] if rate * pixel_light > LOWEST_EXPONENT else 0.0
             continue
-        position = (math.sqrt(pixel_light / gain + offset) - first_root) / step
+        position = (math.sqrt(pixel_light / gain + offset) - first_root) / NODE_STEP
         if position >= last:
             moments[0, k], moments[1, k], moments[2, k], moments[3, k] = nodes[0, last], nodes[1, last], 0.0, 0.0
             continue
         # Node below the light, the light of that node and its distance from the next one, and the fraction between.
         node = int(position)
-        low_root, high_root = first_root + node * step, first_root + (node + 1) * step
+        low_root, high_root = first_root + node * NODE_STEP, first_root + (node + 1) * NODE_STEP
         start, width = gain * (low_root * low_root - offset), gain * (high_root * high_root - low_root * low_root)
         f = (pixel_light - start) / width
         # Cubic through values and slopes of mean (0) and variance (1); slopes are per distance of the nodes.
