@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import tifffile
 
 import spotcheck
 from spotcheck.cli import main
@@ -14,6 +13,7 @@ from spotcheck.dataset.instrument import read_instrument
 from spotcheck.export.frame_correction import compute_response_curve, correct_frame
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.response import apply_curvature, remove_curvature
+from tests.samples.example_datasets import write_levels
 
 SENSOR = SensorModel(0.25, 8.0, black_level_dn=40.0, full_scale_dn=1023.0, response_bend=0.06)
 LINEAR = replace(SENSOR, response_bend=0.0)
@@ -115,21 +115,15 @@ def test_electrons_are_those_of_the_light():
 def test_what_flats_tell_of_the_response_is_adopted(tmp_path, capsys):
     """A bend that flats show goes into the instrument file with the gain that stands beside it. The same flats by that
     file are straight: no effect is named, and plain photon transfer tells the same gain."""
-    rng, first = np.random.default_rng(21), tmp_path / "flats"
-    (first / "frames").mkdir(parents=True)
+    rng, first, photons = np.random.default_rng(21), tmp_path / "flats", 500.0 * np.arange(25)
     camera = SensorModel(0.3, 9.0, black_level_dn=60.0, full_scale_dn=4095.0, response_bend=0.03)
-    rows = ["file,kind,angle_deg,exposure_s,repeat,photons_per_px"]
-    for level in range(25):
-        # The first is as dark as the darks, and still its photons count.
-        photons = 500.0 * level
-        for kind, light in (("flat", photons), ("dark", 0.0)):
-            for k in range(2):
-                name = f"{kind}{level:02d}-{k}.tif"
-                image = readings(np.full((300, 400), light), rng, camera).astype(np.uint16)
-                tifffile.imwrite(first / "frames" / name, image)
-                rows.append(f"frames/{name},{kind},,{1e-3 * (level + 1)},{k},{light}")
-    (first / "manifest.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    (first / "instrument.yaml").write_text("sensor: {bit_depth: 12}\n", encoding="utf-8")
+
+    def pair(light: float) -> np.ndarray:
+        return readings(np.full((2, 300, 400), light), rng, camera).astype(np.uint16)
+
+    # The first flat is as dark as the darks, and still its photons count.
+    bright, dark = [pair(light) for light in photons], [pair(0.0) for _ in photons]
+    write_levels(first, bright, dark, 1e-3 * np.arange(1, 26), photons, "sensor: {bit_depth: 12}\n")
     judge_dataset(first, tmp_path / "results")
     main(["adopt", str(tmp_path / "results" / "flats"), "--to", str(tmp_path / "camera.yaml")])
     # Cells of the table are wrapped, so that the words of a reason stand in several lines.
