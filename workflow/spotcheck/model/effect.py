@@ -9,7 +9,7 @@ its name or on the text of a variant.
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
 from typing import Any
@@ -100,9 +100,6 @@ class Step:
 
     stage: Stage  # stage at which it acts
     function: Callable[..., Any]  # arguments and result are those of the stage
-    # Parameter → function of the same arguments that returns the derivative of the result by it. Only for stages where
-    # the light is proportional to the result (brightness) or contains it as a term (pedestal).
-    derivatives: Mapping[str, Callable[..., Any]] = field(default_factory=dict)
     # Parameter [DN] on which readings depend in steps of 1 DN, since they are rounded afterwards; "" if none.
     rounded: str = ""
 

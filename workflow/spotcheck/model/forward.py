@@ -8,7 +8,7 @@ stages in the same order: `light` up to the gains of pixels, then `sensor_input`
 functions of the light.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -18,7 +18,7 @@ import numpy as np
 
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.conditions import FrameConditions
-from spotcheck.model.effect import AppliedEffect, AppliedStep, RandomStep, Scope, Step
+from spotcheck.model.effect import AppliedEffect, AppliedStep, RandomStep, Scope
 from spotcheck.model.light import NOTHING_DRAWN, Drawn, ExposureLaw, Light, LightStages
 from spotcheck.model.pixel_offsets import moments_with_offsets
 from spotcheck.model.stage import Stage
@@ -26,22 +26,21 @@ from spotcheck.sensor import ReadingDistribution, ReadingMoments, ReadingTable, 
 
 # Random steps at these stages are averaged in the tables of readings, as their draws differ from pixel to pixel.
 TABULATED = (Stage.SPECKLE_FIELD, Stage.WELL)
-# Stages from the gains of pixels on. Derivatives by a parameter of an effect there need new tables; those by all others
-# use the slopes of one table.
+# Stages from the gains of pixels on, at which effects belong to the sensor.
 SENSOR_STAGES = tuple(Stage)[tuple(Stage).index(Stage.PIXEL_GAIN) :]
 # Granular light is light that a random field multiplies. Tables for it go up to grains of this brightness, divided by
 # the mean light [1]. Readings of brighter grains count as those of this one.
 BRIGHTEST_GRAIN = 16.0
 # Decimals of a pedestal [DN] to which pixels must agree for it to count as even: rounding differs between pixels.
 EVEN_DIGITS = 9
-# Relative steps of central differences: for parameters of the light, and for those of the sensor, where interpolated
-# tables need a larger step.
-LIGHT_STEP, SENSOR_STEP = 1e-5, 1e-3
+# Step of central differences, relative to the scale on which readings change with the parameter. A smaller one would
+# show the errors of interpolated tables.
+RELATIVE_STEP = 7e-4
 # Least variance of readings of granular light, over that without offsets: a guard of the sum of two corrections.
 LEAST_VARIANCE_SHARE = 0.1
 # Least scale of the step in a central difference: for a parameter of an effect, and for one of the law or the frame,
 # in the unit of the parameter.
-LEAST_EFFECT_SCALE, LEAST_LAW_SCALE = 1e-3, 1.0
+LEAST_EFFECT_SCALE, LEAST_LAW_SCALE = 1e-3, 0.1
 # Parameters of the exposure law, `ExposureLaw`.
 LAW_PARAMETERS = ("p1", "p2", "peak_dn")
 
@@ -155,11 +154,7 @@ class ForwardModel(LightStages):
 
         Notes
         -----
-        The derivative by a parameter of the light is the slope of mean or variance by the light, which a table gives,
-        times the derivative of the light. The latter has a closed form for some steps; otherwise it is a central
-        difference through the stages of the light. Central differences through the whole model are used instead for
-        effects at the exposure and from the gains of pixels on. They are used for all parameters if the model has a
-        random step, or a step at charge or smear.
+        They are central differences through the whole model, accurate to about 1e-3 of the largest derivative.
         """
         pairs = [self._differentiate(frame, name) for name in parameters]
         return np.array([mean for mean, _ in pairs]), np.array([variance for _, variance in pairs])
@@ -258,53 +253,6 @@ class ForwardModel(LightStages):
 
     def _differentiate(self, frame: FrameConditions, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of mean and variance [row, column] by the parameter `name`; see `jacobian`."""
-        effect_name = name.rpartition(".")[0]
-        stages = {step.stage for applied in self.effects if applied.effect.name == effect_name
-                  for step in applied.effect.variants[applied.variant]}  # fmt: skip
-        # At these stages a pixel depends on the light of other pixels, so the slopes of a table do not suffice.
-        mixing = [step for stage in (Stage.CHARGE, Stage.SMEAR) for step in self.steps_at(stage)]
-        if mixing or any(self._random_steps()) or stages & {Stage.EXPOSURE, *SENSOR_STAGES}:
-            return tuple(
-                self._central_difference(frame, name, SENSOR_STEP, lambda model, frame: np.array(model.expected(frame)))
-            )
-        slope = self._closed_form_slope(frame, name)
-        if slope is None:
-            slope = self._central_difference(frame, name, LIGHT_STEP, lambda model, frame: model.light(frame).total)
-        moments = self.moments(self.sensor_input(frame))
-        return moments.mean_slope * slope, moments.variance_slope * slope
-
-    def _closed_form_slope(self, frame: FrameConditions, name: str) -> np.ndarray | None:
-        """Return the derivative of the light [DN] by the parameter `name` in closed form; None if no step has one.
-
-        The unit is DN per unit of the parameter. `name` is "NAME.PARAMETER" for an effect.
-        """
-        effect_name, _, parameter = name.rpartition(".")
-        for stage in (Stage.BRIGHTNESS, Stage.PEDESTAL):
-            steps = self.steps_at(stage)
-            for step in steps:
-                derivatives = step.step.derivatives if isinstance(step.step, Step) else {}
-                if step.applied.effect.name != effect_name or parameter not in derivatives:
-                    continue
-                if stage is Stage.PEDESTAL:
-                    # The pedestal is a sum, so the derivative does not depend on the other terms, such as 0 here.
-                    slope = step.call(derivatives[parameter], frame, 0.0) * np.ones_like(self.light(frame).total)
-                    return self.apply_stage(Stage.PIXEL_GAIN, NOTHING_DRAWN, frame, slope)
-                # The light is proportional to the peak, which other steps at the brightness would change again.
-                if len(steps) == 1:
-                    others = tuple(effect for effect in self.effects if effect is not step.applied)
-                    peak_without = replace(self, effects=others).spot(frame).peak_dn
-                    slope = step.call(derivatives[parameter], frame, peak_without)
-                    return self.light(frame).spot * slope / self.spot(frame).peak_dn
-        return None
-
-    def _central_difference(
-        self, frame: FrameConditions, name: str, relative_step: float, function: Callable[..., np.ndarray]
-    ) -> np.ndarray:
-        """Return the derivative of `function(model, frame)` by the parameter `name` as a central difference.
-
-        `relative_step` is the step divided by the scale on which readings change with the parameter. Raises `KeyError`
-        if there is no such parameter.
-        """
         effect_name, _, parameter = name.rpartition(".")
         applied = {applied.effect.name: applied for applied in self.effects}[effect_name] if effect_name else None
         in_law = self.law is not None and name in LAW_PARAMETERS
@@ -314,23 +262,27 @@ class ForwardModel(LightStages):
             raise KeyError(name)
 
         def evaluate(value: float) -> np.ndarray:
-            """Return `function` of the model and the frame with the parameter at `value`."""
+            """Return mean and variance [2, row, column] of the model with the parameter at `value`."""
             change: dict[str, Any] = {name: value}
+            model, conditions = self, frame
             if applied:
                 changed = applied.with_value(parameter, value)
-                effects = tuple(changed if effect is applied else effect for effect in self.effects)
-                return function(replace(self, effects=effects), frame)
-            if self.law is not None and in_law:
-                return function(replace(self, law=replace(self.law, **change)), frame)
-            return function(self, replace(frame, **change))
+                effects = (changed if effect is applied else effect for effect in self.effects)
+                model = replace(self, effects=tuple(effects))
+            elif self.law is not None and in_law:
+                model = replace(self, law=replace(self.law, **change))
+            else:
+                conditions = replace(frame, **change)
+            return np.array(model.expected(conditions))
 
         scale = max(abs(value), LEAST_EFFECT_SCALE if applied else LEAST_LAW_SCALE)
         if name in ("x0", "y0"):
             scale = self.spot(frame).sigma_px
         elif applied and {p.name: p.unit for p in applied.effect.parameters}[parameter] == "s":
             scale = frame.exposure_s
-        step = relative_step * scale
-        return (evaluate(value + step) - evaluate(value - step)) / (2 * step)
+        step = RELATIVE_STEP * scale
+        mean, variance = (evaluate(value + step) - evaluate(value - step)) / (2 * step)
+        return mean, variance
 
 
 @lru_cache(maxsize=16)

@@ -23,8 +23,7 @@ EFFECT = Effect(
     noun="uniform pedestal",
     parameters=(Parameter("level", "DN", 0.0, lambda scales: 0.5 * scales.full_scale_dn, negligible=0.1),),
     variants={
-        # The pedestal has the derivative 1 by its level.
-        Pedestal.LIGHT: (Step(Stage.PEDESTAL, add_level, {"level": lambda frame, pedestal_dn: 1.0}),),
+        Pedestal.LIGHT: (Step(Stage.PEDESTAL, add_level),),
         Pedestal.ELECTRONIC: (Step(Stage.BLACK_LEVEL, add_level),),
     },
     starts=lambda scales: [(1.0,)],

@@ -10,18 +10,13 @@ def multiply_by_power(frame, peak_dn, *, q):
     return peak_dn * np.exp(q * np.log(frame.exposure_s / frame.longest_s))
 
 
-def power_derivative(frame, peak_dn, *, q):
-    """Return the derivative of `multiply_by_power` by `q` [DN]."""
-    return multiply_by_power(frame, peak_dn, q=q) * np.log(frame.exposure_s / frame.longest_s)
-
-
 EFFECT = Effect(
     number=11,
     name="photon_budget",
     sentence="the light grows with exposure by another power than the model's",
     noun="excess power of the exposure in the light",
     parameters=(Parameter("q", "1", -2.0, 2.0, negligible=0.01),),
-    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, multiply_by_power, {"q": power_derivative}),)},
+    variants={Only.ONLY: (Step(Stage.BRIGHTNESS, multiply_by_power),)},
     starts=lambda scales: [(0.02,)],
     law_of="brightness",
     needs=(Need.EXPOSURES, Need.LAW),
