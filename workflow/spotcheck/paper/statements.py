@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.paper.bright_pixel import variance_over_exposure
-from spotcheck.paper.measured import psnr
+from spotcheck.paper.measured import LONGER, psnr
 from spotcheck.paper.results import CENTRING, Results
 
 # Range of PSNR that the paper expects [dB] (Section 3.2.2).
@@ -21,8 +21,6 @@ EXPECTED_PSNR_DB = (50.0, 60.0)
 ANGLE_OF_EQUAL_PSNR = 90
 # Angles with the largest standard deviation of the maximum [degree] (Section 6.2.3).
 ANGLES_OF_LARGEST_MAXIMUM_SD = {0.0, 135.0}
-# Indices of the two longer exposures.
-LONGER = [1, 2]
 # Levels between which the edge of a spot lies, divided by the level of the plateau.
 EDGE_LEVELS = (0.8, 0.2)
 # Part of a spot that counts as its plateau: half the side of a square, or radius, in units of the fitted width.
