@@ -105,27 +105,26 @@ def made_once(folder: Path, make: Callable[[Path], None]) -> Path:
     return folder
 
 
+def run_whole(dataset: Path, results: Path) -> None:
+    """Run the whole workflow on a dataset; an AssertionError with its output where it fails."""
+    done = snakemake(config={"dataset": dataset, "results": results})
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.fixture(scope="session")
 def small_run(shared) -> Path:
     """Results folder of a small dataset of the virtual rig, after one complete run."""
 
-    def run(base: Path) -> None:
-        dataset = small_rig_dataset(base / "small")
-        done = snakemake(config={"dataset": dataset, "results": base / "results"})
-        assert done.returncode == 0, done.stdout + done.stderr
-
-    return made_once(shared / "run", run) / "results" / "small"
+    folder = made_once(shared / "run", lambda base: run_whole(small_rig_dataset(base / "small"), base / "results"))
+    return folder / "results" / "small"
 
 
 @pytest.fixture(scope="session")
 def sample_run(shared) -> Path:
     """Results folder of the sample of a scan along z, which has no exposures, after one complete run."""
 
-    def run(base: Path) -> None:
-        done = snakemake(config={"dataset": ROOT / "data" / "zscan-sample", "results": base})
-        assert done.returncode == 0, done.stdout + done.stderr
-
-    return made_once(shared / "sample", run) / "zscan-sample"
+    sample = ROOT / "data" / "zscan-sample"
+    return made_once(shared / "sample", lambda base: run_whole(sample, base)) / "zscan-sample"
 
 
 @pytest.fixture(scope="session")
@@ -134,11 +133,8 @@ def flats_run(shared) -> Path:
 
     from tests.samples.example_datasets import flats
 
-    def run(base: Path) -> None:
-        done = snakemake(config={"dataset": flats(base / "set"), "results": base / "results"})
-        assert done.returncode == 0, done.stdout + done.stderr
-
-    return made_once(shared / "flats", run) / "results" / "set"
+    folder = made_once(shared / "flats", lambda base: run_whole(flats(base / "set"), base / "results"))
+    return folder / "results" / "set"
 
 
 @pytest.fixture(scope="session")
@@ -149,9 +145,8 @@ def small_frames(shared) -> Path:
         folder = small_rig_dataset(base / "small")
         rig = Path(sys.executable).parent / "rig"
         settings, truth = folder / "rig.yaml", folder / "truth.json"
-        subprocess.run(
-            [rig, "expose", folder, "--settings", settings, "--truth", truth], check=True, capture_output=True
-        )
+        command = [rig, "expose", folder, "--settings", settings, "--truth", truth]
+        subprocess.run(command, check=True, capture_output=True)
         settings.unlink()
         truth.unlink()
 

@@ -71,9 +71,9 @@ def ended(read: Callable[[], Any]) -> tuple[str, float]:
             read()
         end = "read"
     except InputError as error:
-        end = (
-            "out of memory" if "fit into memory" in str(error) else "refused" if one_sentence(error) else "no sentence"
-        )
+        end = "refused" if one_sentence(error) else "no sentence"
+        if "fit into memory" in str(error):
+            end = "out of memory"
     except Hang:
         end = "hang"
     except Exception as error:
@@ -83,10 +83,8 @@ def ended(read: Callable[[], Any]) -> tuple[str, float]:
 
 def one_sentence(error: InputError) -> bool:
     """Whether a message is a line of bearable length that says in which file something is wrong."""
-    text = str(error)
-    return (
-        text.startswith(("manifest.csv", "instrument.yaml", "frames/a.tif")) and "\n" not in text and len(text) < 1000
-    )
+    text, names = str(error), ("manifest.csv", "instrument.yaml", "frames/a.tif")
+    return text.startswith(names) and "\n" not in text and len(text) < 1000
 
 
 @contextmanager
@@ -149,12 +147,8 @@ def good_files() -> dict[str, list[bytes]]:
     packed = [{"compression": name} for name in ("zlib", "lzw", "packbits", "zstd", "lzma")]
     tiffs = [
         *(tiff(small), tiff(byteorder=">"), tiff(bigtiff=True), tiff(tile=(16, 16)), tiff(rowsperstrip=5)),
-        *(
-            tiff(RAMP // 4, bitspersample=12),
-            tiff(small, photometric="miniswhite"),
-            tiff(predictor=True, compression=8),
-        ),
-        *(tiff(**own) for own in packed),
+        *(tiff(RAMP // 4, bitspersample=12), tiff(small, photometric="miniswhite")),
+        *(tiff(predictor=True, compression=8), *(tiff(**own) for own in packed)),
         tiff(compression="jpeg2000", compressionargs=lossless),
         *(tiff(stack), tiff(np.tile(stack, (40, 1, 1))[:, :4, :4].copy()), tiff(stack, imagej=True)),
         tiff(stack, metadata={"axes": "ZYX"}, contiguous=True, compression=None),
@@ -213,27 +207,8 @@ def sealed(content: bytes) -> bytes:
     return bytes(out)
 
 
-ODD = st.text(max_size=12) | st.sampled_from(
-    [
-        "",
-        "nan",
-        "-1",
-        "0.1ms",
-        "1e999",
-        "1_0",
-        "٣",
-        "#",
-        '"',
-        "'",
-        ";",
-        "\0",
-        "9" * 400,
-        "../x.tif",
-        "frames\\a.tif",
-        "{x}",
-        "=",
-    ]
-)
+ODD_WORDS = ["", "nan", "-1", "0.1ms", "1e999", "1_0", "٣", "#", '"', "'", ";", "\0", "9" * 400, "../x.tif"]
+ODD = st.text(max_size=12) | st.sampled_from([*ODD_WORDS, "frames\\a.tif", "{x}", "="])
 CELLS = {
     "file": st.sampled_from(["frames/a.tif", "frames\\a.tif", "A.TIF", "#1.tif", "\u00e4.tif"]),
     "kind": st.sampled_from(["spot", "spot", "dark", "flat"]),
@@ -260,9 +235,8 @@ def manifests(draw: st.DrawFn) -> bytes:
     lines += draw(st.sampled_from([[], [], ["", "# the end"]]) | st.lists(ODD, max_size=1))
     lines = [*draw(st.sampled_from([[], ["sep=,"], ["# made by hand"]])), *lines]
     text = draw(st.sampled_from(["\n", "\r\n", "\r"])).join(lines)
-    return text.encode(
-        draw(st.sampled_from(["utf-8"] * 4 + ["utf-8-sig", "utf-16", "utf-16-le", "latin-1"])), "replace"
-    )
+    encodings = ["utf-8"] * 4 + ["utf-8-sig", "utf-16", "utf-16-le", "latin-1"]
+    return text.encode(draw(st.sampled_from(encodings)), "replace")
 
 
 ANY = st.none() | st.booleans() | st.integers() | st.floats() | ODD | st.lists(ODD, max_size=2)
@@ -285,9 +259,8 @@ def instruments(draw: st.DrawFn) -> bytes:
         own = draw(st.sampled_from([content, *(v for v in content.values() if isinstance(v, dict))]))
         own[draw(st.sampled_from([*SHEET, "light", "conditions", *own]) | ODD)] = draw(ANY)
     text = yaml.safe_dump(content, allow_unicode=True)
-    text += draw(
-        st.sampled_from([*[""] * 9, "a: &a [*a]", "? x", "\t", "!!python/object:os.system {}", "- 1", "crop_px: 8"])
-    )
+    endings = ["a: &a [*a]", "? x", "\t", "!!python/object:os.system {}", "- 1", "crop_px: 8"]
+    text += draw(st.sampled_from([*[""] * 9, *endings]))
     return text.encode(draw(st.sampled_from(["utf-8", "utf-8", "utf-16", "utf-16-le"])), "replace")
 
 

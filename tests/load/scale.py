@@ -62,9 +62,8 @@ def of_frames(base: Path, counts: Sequence[int]) -> list[Row]:
         for stage, own in staged(folder, out).items():
             costs[stage].append(own)
         costs["planning"].append(cost(plan([folder], out)))
-        print(
-            f"{count} frames: " + ", ".join(f"{name} {own[-1].wall:.1f} s" for name, own in costs.items()), flush=True
-        )
+        walls = ", ".join(f"{name} {own[-1].wall:.1f} s" for name, own in costs.items())
+        print(f"{count} frames: {walls}", flush=True)
     return [Row(f"{stage}, {', '.join(f'{own:,}' for own in counts)} frames", len(counts), growth(counts, own))
             for stage, own in costs.items()]  # fmt: skip
 
@@ -142,9 +141,8 @@ def write_set(folder: Path, count: int) -> Path:
         tifffile.imwrite(folder / "frames" / f"{k:05d}.tif", np.clip(np.rint(dn), 0, 4095).astype(np.uint16))
         rows.append(f"frames/{k:05d}.tif,spot,{angle:g},{exposure:g},{k // len(cells)}")
     (folder / "manifest.csv").write_text("\n".join(rows) + "\n")
-    (folder / "instrument.yaml").write_text(
-        "crop_px: 48\nsensor: {bit_depth: 12, gain_dn_per_e: 0.2, read_noise_e: 5, black_level_dn: 40}\n"
-    )
+    sensor = "{bit_depth: 12, gain_dn_per_e: 0.2, read_noise_e: 5, black_level_dn: 40}"
+    (folder / "instrument.yaml").write_text(f"crop_px: 48\nsensor: {sensor}\n")
     return folder
 
 

@@ -145,9 +145,8 @@ def lost_node(nodes: dict[str, subprocess.Popen], name: Path, here: Path, result
     if process.returncode:
         return Row("a node lost midway", 1, f"the run failed: {said.strip().splitlines()[-1]}")
     row = compared("a node lost midway", here, results / name.name)
-    return row._replace(
-        happened=f"{len(jobs)} job{'s' if len(jobs) != 1 else ''} lost with it and run again; {row.happened}"
-    )
+    words = f"{len(jobs)} job{'s' if len(jobs) != 1 else ''} lost with it and run again"
+    return row._replace(happened=f"{words}; {row.happened}")
 
 
 def running_on(node: str) -> list[str]:

@@ -1,6 +1,5 @@
-"""Whole datasets: equal seeds, workers, the truth file, plans of any shape, errors, the wall to the library."""
+"""Whole datasets: equal seeds, workers, the truth file, plans of any shape, errors."""
 
-import ast
 import json
 import math
 from pathlib import Path
@@ -209,17 +208,3 @@ def test_workers_below_one_are_refused(tmp_path):
 
 def test_numbers_written_as_yaml_text_are_read():
     assert from_dict({"laser": {"power_w": "1e-3"}}).laser.power_w == 1e-3
-
-
-def test_the_rig_imports_nothing_of_the_library_nor_the_library_of_the_rig():
-    for package, other in (("rig", "spotcheck"), ("spotcheck", "rig")):
-        files = sorted((ROOT / "workflow" / package).rglob("*.py"))
-        assert files
-        for file in files:
-            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-                names = []
-                if isinstance(node, ast.Import):
-                    names = [alias.name for alias in node.names]
-                elif isinstance(node, ast.ImportFrom):
-                    names = [node.module or ""]
-                assert other not in {name.split(".")[0] for name in names}, file

@@ -18,8 +18,8 @@ def code(name: str) -> list[str]:
     here = Path(__file__).parent / "generators"
     folders = ("light", "second") if name == "light" else (name,)
     made = [path for folder in folders for path in sorted((here / folder).rglob("*.py"))]
-    # These only read records or draw pictures of what is made.
-    reading = ("score.py", "page.py", "reading.py", "picture.py")
+    # These only read records.
+    reading = ("score.py", "page.py", "reading.py")
     makers = [Path(__file__).with_name("judge.py"), *(path for path in made if path.name not in reading)]
     stages = ("ingest", "crop", "sensor", "judge", "flats")
     modules = {module for path in makers for module in provenance.list_imports(path)}

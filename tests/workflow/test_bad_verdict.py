@@ -10,16 +10,11 @@ from tests.discrepancy.test_bad_cases import CASES, written
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        (
-            "saturated everywhere",
-            "none of 12 spot frames can be used (hardly a pixel of the crop reads below full scale)",
-        ),
-        ("flats and darks alone", "the manifest names no frame of kind spot"),
-    ],
-)
+SATURATED = "none of 12 spot frames can be used (hardly a pixel of the crop reads below full scale)"
+NO_SPOT = "the manifest names no frame of kind spot"
+
+
+@pytest.mark.parametrize(("name", "why"), [("saturated everywhere", SATURATED), ("flats and darks alone", NO_SPOT)])
 def test_nothing_to_judge(name, why, tmp_path):
     """Exit status 0, `not_assessed`, and the reason in both places."""
     where = {"dataset": written(CASES[name](), tmp_path), "results": tmp_path / "results"}

@@ -98,12 +98,8 @@ def test_one_stack_gives_equal_values(zscan, tmp_path):
     tifffile.imwrite(copy / "frames" / "all.tif", np.stack(pages))
     text = [",".join([*header, "page"])]
     for page, row in enumerate(rows):
-        text.append(
-            ",".join(
-                ["frames/all.tif" if name == "file" else cell for name, cell in zip(header, row, strict=True)]
-                + [str(page)]
-            )
-        )
+        row[header.index("file")] = "frames/all.tif"
+        text.append(",".join([*row, str(page)]))
     (copy / "manifest.csv").write_text("\n".join(text) + "\n")
     run = snakemake("--until", "fit", config={"dataset": copy, "results": tmp_path / "out"})
     assert run.returncode == 0, run.stdout + run.stderr

@@ -24,9 +24,8 @@ def call(folder: Path, results: Path) -> list[str]:
 
 def finish(folder: Path, results: Path) -> subprocess.CompletedProcess:
     """The call, to its end."""
-    return subprocess.run(
-        call(folder, results), cwd=ROOT, capture_output=True, text=True, env=environment(), check=False
-    )
+    command = call(folder, results)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=environment(), check=False)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Benchmarks: estimator and simulator against other packages, accuracy, convergence, growth, and what a run costs.
+"""Benchmarks: estimator and simulator against other packages, accuracy, convergence and growth.
 
 `python -m tests.validation.benchmarks.run` runs all parts or those that are named.
 """

@@ -7,7 +7,7 @@ and clipped.
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -78,30 +78,21 @@ def scores_of(seed: np.random.SeedSequence) -> tuple[np.ndarray, np.ndarray, int
 
 def _rows(z: np.ndarray) -> list[list[str]]:
     """rms with its statistical error, and mean, of each parameter."""
-    count = len(z)
-    rms, mean = np.sqrt(np.mean(z**2, axis=0)), z.mean(axis=0)
+    rms, mean, count = np.sqrt(np.mean(z**2, axis=0)), z.mean(axis=0), len(z)
     return [
         [f"{rms[k]:.4f} ± {rms[k] / np.sqrt(2 * count):.4f}", f"{mean[k]:+.4f} ± {1 / np.sqrt(count):.4f}"]
         for k in range(7)
     ]
 
 
-def _figures(z: np.ndarray, what: str, wanted: str) -> Iterable[Figure]:
+def _figures(z: np.ndarray, what: str, wanted: str) -> Iterator[Figure]:
     """Worst rms and worst bias of the seven, as `must` or as `aim`."""
-    rms, bias = np.sqrt(np.mean(z**2, axis=0)), np.abs(z.mean(axis=0))
-    worst, most = NAMES[int(np.argmax(rms))], NAMES[int(np.argmax(bias))]
-    yield Figure(
-        f"{what}: largest rms error of the seven ({worst})",
-        float(rms.max()),
-        f"{rms.max():.4f} ± {rms.max() / np.sqrt(2 * len(z)):.4f} bounds",
-        **{wanted: Limit("≤", 1.02)},
-    )
-    yield Figure(
-        f"{what}: largest bias of the seven ({most})",
-        float(bias.max()),
-        f"{bias.max():.4f} ± {1 / np.sqrt(len(z)):.4f} bounds",
-        **{wanted: Limit("≤", 0.1)},
-    )
+    rms, bias, count = np.sqrt(np.mean(z**2, axis=0)), np.abs(z.mean(axis=0)), len(z)
+    for name, values, error, limit in (("rms error", rms, rms.max() / np.sqrt(2 * count), 1.02),
+                                       ("bias", bias, 1 / np.sqrt(count), 0.1)):  # fmt: skip
+        title = f"{what}: largest {name} of the seven ({NAMES[int(np.argmax(values))]})"
+        shown = f"{values.max():.4f} ± {error:.4f} bounds"
+        yield Figure(title, float(values.max()), shown, **{wanted: Limit("≤", limit)})
 
 
 def measure(sensors: int = 128) -> Part:

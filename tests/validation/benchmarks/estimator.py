@@ -87,19 +87,13 @@ def _one_by_one(given: Sample, fit: Callable[..., peers.Answer]):
 
 def entrants() -> list[Entrant]:
     """Ours and all peers."""
+    equal, likely = (partial(_ours, weighting=weighting) for weighting in ("equal", "likelihood"))
+    integrated = partial(_ours, weighting="likelihood", integrated=True)
+    start = "finds its own start"
     own = [
-        Entrant(OURS, peers.LIKELIHOOD, 7, "finds its own start", partial(_ours, weighting="likelihood")),
-        Entrant(
-            "ours, equal weights", peers.LEAST_SQUARES, 7, "finds its own start", partial(_ours, weighting="equal")
-        ),
-        Entrant(
-            "ours, integrated",
-            peers.LIKELIHOOD,
-            7,
-            "pixel-integrated; finds its own start",
-            partial(_ours, weighting="likelihood", integrated=True),
-            True,
-        ),
+        Entrant(OURS, peers.LIKELIHOOD, 7, start, likely),
+        Entrant("ours, equal weights", peers.LEAST_SQUARES, 7, start, equal),
+        Entrant("ours, integrated", peers.LIKELIHOOD, 7, f"pixel-integrated; {start}", integrated, True),
     ]
     others = [
         Entrant(p.name, p.kind, p.parameters, p.remark, partial(_one_by_one, fit=p.fit), p is peers.INTEGRATED_PEER)

@@ -48,17 +48,8 @@ def by_flats(camera: Camera, rng: np.random.Generator) -> tuple[float, float]:
         mean, error = (first.mean() + second.mean()) / 2, np.sqrt(rows.mean() / 2) / SIDE
         variance, variance_error = rows.mean(), rows.std(ddof=1) / np.sqrt(rows.size)
         noise = mean, error, variance, variance_error, 0.0, 0.0
-        levels.append(
-            Level(
-                "flat" if light else "dark",
-                1e-3,
-                light,
-                2,
-                *noise,
-                estimate_pattern_variances(first, second),
-                (SIDE, SIDE),
-            )
-        )
+        kind, pattern = "flat" if light else "dark", estimate_pattern_variances(first, second)
+        levels.append(Level(kind, 1e-3, light, 2, *noise, pattern, (SIDE, SIDE)))
     own = analyse_photon_transfer(levels, FULL).quantities["gain"]
     return own.value, own.stderr
 
@@ -113,15 +104,10 @@ def measure() -> Part:
         f" {100 / np.sqrt(2 * DRAWS):.0f} %."
     )
     worst = max(rms["spots"], rms["spots with speckle"])
-    return Part(
-        "Gain without flats",
-        [
-            Figure("error of the gain from spots, of K", worst, f"{100 * worst:.1f} %", Limit("≤", 0.05)),
-            *(
-                Figure(f"the same from {name} over that from flats", rms[name] / rms["flats"], row[-1])
-                for name, row in zip(ways, rows, strict=True)
-                if name != "flats"
-            ),
-        ],
-        [Table("Gain by flats and by spots", ["frames", "rms error", "stated error", "ratio to flats"], rows, note)],
-    )
+    figures = [Figure("error of the gain from spots, of K", worst, f"{100 * worst:.1f} %", Limit("≤", 0.05))]
+    for name, row in zip(ways, rows, strict=True):
+        if name != "flats":
+            title = f"the same from {name} over that from flats"
+            figures.append(Figure(title, rms[name] / rms["flats"], row[-1]))
+    columns = ["frames", "rms error", "stated error", "ratio to flats"]
+    return Part("Gain without flats", figures, [Table("Gain by flats and by spots", columns, rows, note)])

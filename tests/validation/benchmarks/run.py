@@ -1,4 +1,4 @@
-"""Run the benchmarks, all or those named, print one table, and judge it.
+"""Run the benchmarks, all or those named, print their tables, and judge them.
 
 `make bench`, or `python -m tests.validation.benchmarks.run [part …]`. Tables and a plot go to `results/benchmarks`.
 Status 1 when a must was missed. Times are of this machine and moment; ratios are what compares.
@@ -21,19 +21,17 @@ from tests.validation.benchmarks import (
     plot,
     simulator,
     table,
-    workflow_costs,
-)
+)  # fmt: skip
 
 RESULTS = Path(__file__).parents[3] / "results" / "benchmarks"
 PARTS: dict[str, Callable[[], table.Part]] = {
     "estimator": estimator.measure,
     "simulator": simulator.measure,
     "accuracy": accuracy.measure,
-    "convergence": lambda: convergence.measure(RESULTS),
+    "convergence": convergence.measure,
     "closed-form": closed_form.measure,
     "gain": gain.measure,
     "growth": growth.measure,
-    "workflow": workflow_costs.measure,
 }
 
 
@@ -59,12 +57,11 @@ def main() -> None:
     ]
     RESULTS.mkdir(parents=True, exist_ok=True)
     plot.draw([point for part in parts for point in part.points], RESULTS)
-    (RESULTS / "peers.md").write_text(table.as_markdown(parts, head), encoding="utf-8")
-    # What workflow/docs/benchmarks.md quotes: ours beside other packages, without the workflow's own costs.
-    beside = [part for name, part in zip(names, parts, strict=True) if name != "workflow"]
-    (RESULTS / "summary.md").write_text(table.as_summary(beside), encoding="utf-8")
-    print(table.as_text(parts))
-    print(f"\n{table.summary(parts)}")
+    text = table.as_markdown(parts, head)
+    (RESULTS / "peers.md").write_text(text, encoding="utf-8")
+    # What workflow/docs/benchmarks.md quotes.
+    (RESULTS / "summary.md").write_text(table.as_summary(parts), encoding="utf-8")
+    print(text)
     sys.exit(not table.all_musts_reached(parts))
 
 

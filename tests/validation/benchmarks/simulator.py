@@ -45,11 +45,11 @@ def makers(scene: Scene) -> tuple[Makers, dict[str, str]]:
         MEAN: scene.light_e,
     }
     absent = {}
-    for kind in SIMULATORS:
+    for name, (make, _) in SIMULATORS.items():
         try:
-            out[kind.name] = kind(scene, SEED)
+            out[name] = make(scene, SEED)
         except ImportError as error:
-            absent[kind.name] = f"not run: {error}"
+            absent[name] = f"not run: {error}"
     return out, absent
 
 
@@ -113,7 +113,7 @@ def histogram_figure(label: str, sensor: SensorModel) -> Figure:
 def measure(rounds: int = 30, batch: int = 8) -> Part:
     """Race all over `rounds` × `batch` frames of each scene."""
     figures, rows = [], []
-    lacks = {OURS: "", NUMPY: "", MEAN: ""} | {kind.name: kind.lacks for kind in SIMULATORS}
+    lacks = dict.fromkeys((OURS, NUMPY, MEAN), "") | {name: lack for name, (_, lack) in SIMULATORS.items()}
     absent: dict[str, str] = {}
     times: dict[str, dict[str, Spread]] = {}
     for label, scene in SCENES.items():

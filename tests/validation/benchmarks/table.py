@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.validation.table import markdown, plain
+from tests.validation.table import markdown
 
 
 class Limit(NamedTuple):
@@ -104,23 +104,8 @@ def figure_rows(part: Part) -> list[tuple[str, ...]]:
     return [(f.name, f.shown, str(f.must or ""), str(f.aim or ""), f.verdict) for f in part.figures]
 
 
-def as_text(parts: Sequence[Part]) -> str:
-    """The tables of details, then one table of figures, grouped by part."""
-    out = []
-    for part in parts:
-        for table in part.tables:
-            out += ["", table.title, *plain(table.columns, table.rows)]
-            out += [table.note] if table.note else []
-    blocks = [figure_rows(part) for part in parts]
-    lines = iter(plain(COLUMNS, [row for rows in blocks for row in rows]))
-    out += ["", next(lines)]
-    for part, rows in zip(parts, blocks, strict=True):
-        out += [f"— {part.title}", *(next(lines) for _ in rows)]
-    return "\n".join(out)
-
-
 def as_markdown(parts: Sequence[Part], head: Sequence[str]) -> str:
-    """The same as Markdown."""
+    """Tables of figures and details of every part, as Markdown."""
     out = ["# Benchmark", "", *head]
     for part in parts:
         out += ["", f"## {part.title}", ""]

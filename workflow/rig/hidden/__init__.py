@@ -1,25 +1,20 @@
-"""Blind test datasets: the contract's baseline model with hidden effects, or none, and the truth kept apart.
+"""Blind test datasets: the contract's baseline model with a hidden effect, or none, and the truth kept apart.
 
 Written from the dataset contract alone. Nothing here is shared with the analysis library, nor with the rest of the rig
 but its image files.
 
-    names, designs, kinds    what can be asked for
-    base                     the baseline's numbers and the data sheet
-    effect, world            hooks of an effect; the chain of light: shape, top hat, blur, effects on light
+    designs, base            grids of conditions; the baseline's numbers and the data sheet
+    effect, world            hooks of an effect; the light of a frame: shape, top hat, blur, effects on light
     laws, shapes, lights, sensors    the vocabulary, by what an effect acts on; each docstring says how it is read
-    oddities, faults         mechanisms outside the vocabulary
-    expose; moments          the chain of the sensor, drawn; the same in mean and variance (clips: clipping)
+    chain                    the chain of the sensor, drawn, and in mean and variance (clips: clipping)
     strength                 Fisher signal-to-noise after a refit of the baseline; the strength that reaches a target
-    case, files              a case of a seed; its folder and its truth
+    case                     a case of a seed, its folder and its truth
 """
 
-from rig.hidden.case import Case, blocked, draw_case, frames, with_more
+from rig.hidden.case import Case, draw_case, frames, write
 from rig.hidden.designs import DESIGNS
-from rig.hidden.files import write
-from rig.hidden.kinds import possible
-from rig.hidden.names import EFFECTS
-from rig.hidden.registry import OUTSIDERS
+from rig.hidden.registry import VOCABULARY
 
-OUTSIDE = tuple(OUTSIDERS)
+EFFECTS = tuple(VOCABULARY)
 
-__all__ = ["DESIGNS", "EFFECTS", "OUTSIDE", "Case", "blocked", "draw_case", "frames", "possible", "with_more", "write"]
+__all__ = ["DESIGNS", "EFFECTS", "Case", "draw_case", "frames", "write"]

@@ -73,17 +73,14 @@ class Base:
 
 
 def draw_base(
-    rng: np.random.Generator, design: Design, title: str, budget: str | None, black: bool | None
+    rng: np.random.Generator, design: Design, title: str, budget: str | None, can_have_black: bool
 ) -> tuple[Base, dict[str, Any]]:
-    """Draw a baseline and its data sheet. `budget` fixes the photon budget, `black` whether there is a black level."""
+    """Draw a baseline and its data sheet. `budget` fixes the photon budget."""
     bit_depth = 12 if rng.random() < 0.2 else 10
     step = 2.0 ** (bit_depth - 10)  # a 12-bit converter divides the same light into finer steps
     gain = _round(step * math.exp(rng.uniform(math.log(0.05), math.log(0.25))), 4)
     drawn_black = _round(step * rng.uniform(5.0, 40.0), 3) if rng.random() < 0.5 else 0.0
-    if black is False:
-        drawn_black = 0.0
-    elif black and drawn_black == 0.0:
-        drawn_black = _round(step * rng.uniform(5.0, 40.0), 3)
+    black_level = drawn_black if can_have_black else 0.0
     drawn_budget = str(rng.choice(["spot_area", "linear"]))
     top_hat = bool(rng.random() < 0.5)
     sensor = {
@@ -93,7 +90,7 @@ def draw_base(
         "read_noise_e": _round(rng.uniform(5.0, 20.0), 3),
         "dark_current_e_per_s": _round(rng.uniform(0.0, 200.0), 3),
         "quantum_efficiency": _round(rng.uniform(0.3, 0.8), 2),
-        "black_level_dn": drawn_black,
+        "black_level_dn": black_level,
     }
     instrument: dict[str, Any] = {"name": title, "crop_px": CROP_PX, "sensor": sensor}
     instrument |= _draw_optics(rng)
@@ -112,7 +109,7 @@ def draw_base(
         gain=gain,
         read_noise=sensor["read_noise_e"],
         dark_current=sensor["dark_current_e_per_s"],
-        black_level=drawn_black,
+        black_level=black_level,
         bit_depth=bit_depth,
     )
     return base, instrument

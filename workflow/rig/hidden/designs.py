@@ -18,20 +18,14 @@ WANDER_PX = 4.0
 class Design:
     """The grid of conditions: angles [deg], exposures [s], number of repeats."""
 
-    name: str
     angles_deg: tuple[float, ...]
     exposures_s: tuple[float, ...]
     repeats: int
 
     @property
-    def sites(self) -> int:
-        """Number of places on the sample: one for each (angle, repeat)."""
-        return len(self.angles_deg) * self.repeats
-
-    @property
     def frames(self) -> int:
         """Number of frames."""
-        return self.sites * len(self.exposures_s)
+        return len(self.angles_deg) * self.repeats * len(self.exposures_s)
 
     def discovery(self, repeat: int) -> bool:
         """Whether a repeat may be used to find effects: of six or more, every third is kept unseen (contract)."""
@@ -39,20 +33,16 @@ class Design:
 
 
 _FOUR = (0.0, 45.0, 90.0, 135.0)
-_EIGHT = tuple(22.5 * k for k in range(8))
 _THREE_TIMES = (100e-6, 300e-6, 900e-6)
-
-_ALL = (
-    Design("default", _FOUR, _THREE_TIMES, 8),
-    Design("two_exposures", _FOUR, (200e-6, 800e-6), 8),
-    Design("eight_angles", _EIGHT, _THREE_TIMES, 4),
-    Design("three_repeats", _FOUR, _THREE_TIMES, 3),
-    Design("one_exposure", _FOUR, (500e-6,), 8),
-    Design("one_site", (0.0,), _THREE_TIMES, 1),
-    Design("single_frame", (0.0,), (500e-6,), 1),
-)
-BY_NAME = {design.name: design for design in _ALL}
-DESIGNS = tuple(BY_NAME)
+DESIGNS = {
+    "default": Design(_FOUR, _THREE_TIMES, 8),
+    "two_exposures": Design(_FOUR, (200e-6, 800e-6), 8),
+    "eight_angles": Design(tuple(22.5 * k for k in range(8)), _THREE_TIMES, 4),
+    "three_repeats": Design(_FOUR, _THREE_TIMES, 3),
+    "one_exposure": Design(_FOUR, (500e-6,), 8),
+    "one_site": Design((0.0,), _THREE_TIMES, 1),
+    "single_frame": Design((0.0,), (500e-6,), 1),
+}
 
 
 @dataclass(frozen=True)

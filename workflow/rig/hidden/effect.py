@@ -1,7 +1,7 @@
 """What every hidden effect is: a strength, fixed structure, and hooks into the chain. Hooks do nothing by default.
 
-Light is in DN (without black level), electrons in e-. `mean` and `variance` hooks are the first two moments of the draw
-beside them; the strength is found with the moments, the frames are made with the draws.
+Light is in DN (without black level), electrons in e-. The hooks of moments give mean and variance of the draws; the
+strength is found with the moments, the frames are made with the draws.
 """
 
 from __future__ import annotations
@@ -30,10 +30,8 @@ class Effect:
     strength: float
 
     name: ClassVar[str]
-    rank: ClassVar[int] = 0  # place in the chain, where effects share a hook
+    limits: ClassVar[tuple[float, float]]  # smallest and largest strength that makes physical sense
     scatters: ClassVar[bool] = False  # changes the scatter between frames or pixels, not their expectation
-    budget: ClassVar[str | None] = None  # the photon budget that it needs
-    black: ClassVar[bool | None] = None  # whether it needs a black level (True) or none (False)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
@@ -45,8 +43,8 @@ class Effect:
         return dataclasses.replace(self, strength=strength)
 
     def span(self, base: Base) -> tuple[float, float]:
-        """Smallest and largest strength that makes physical sense."""
-        raise NotImplementedError
+        """Smallest and largest strength; those of a class are `limits` unless they depend on the baseline."""
+        return self.limits
 
     def parameters(self) -> dict[str, float]:
         """The contract's parameters."""
@@ -60,10 +58,6 @@ class Effect:
         """The baseline that this effect departs from: only a law that takes another one's place needs its own."""
         return base
 
-    def simpler(self) -> Effect | None:
-        """The effect that this one contains: it takes precedence where it explains as much (contract)."""
-        return None
-
     def scatter_snr2(self, reference: Reference) -> float:
         """Squared signal-to-noise of an effect that scatters (twice the expected log-likelihood ratio)."""
         return 0.0
@@ -74,7 +68,7 @@ class Effect:
         """The true exposure [s]."""
         return t
 
-    def spread(self, spread: float, t: float, shot: Shot) -> float:
+    def spread(self, spread: float, t: float) -> float:
         """The spread p_b [px]."""
         return spread
 
@@ -100,31 +94,23 @@ class Effect:
 
     # Pictures.
 
-    def warp(self, rho2: Array, dx: Array, dy: Array) -> Array | None:
-        """Another squared radius rho^2 in units of sigma^2, or None where the shape is left alone."""
-        return None
-
     def light(self, light: Array, view: View) -> Array:
         """Light on the sensor [DN]."""
         return light
-
-    def detect(self, rate: Array, rng: np.random.Generator) -> Array | None:
-        """Electrons from their expected number, or None for the Poisson law."""
-        return None
 
     def electrons(self, electrons: Array, view: View) -> Array:
         """Electrons before read noise."""
         return electrons
 
     def electron_moments(self, mean: Array, variance: Array, view: View) -> Moments:
-        """Moments of `detect` and `electrons`."""
+        """Moments of `electrons`."""
         return mean, variance
 
-    def read_noise(self, noise: Array, base: Base, rng: np.random.Generator) -> Array:
+    def read_noise(self, noise: Array) -> Array:
         """Read noise [e-] of one frame."""
         return noise
 
-    def read(self, electrons: Array, base: Base) -> Array:
+    def read(self, electrons: Array) -> Array:
         """Electrons after read noise."""
         return electrons
 
@@ -151,3 +137,14 @@ class Effect:
     def reading_moments(self, mean: Array, variance: Array, view: View) -> Moments:
         """Moments of `reading`."""
         return mean, variance
+
+
+@dataclass(frozen=True)
+class Signed(Effect):
+    """An effect of either sign."""
+
+    sign: float = 1.0
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
+        return cls(0.0, sign=float(rng.choice([-1.0, 1.0])))

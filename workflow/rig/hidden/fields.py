@@ -34,12 +34,12 @@ def speckle(seed: int, site: int, grain_px: float, patterns: int) -> np.ndarray:
 def smooth_normal(rng: np.random.Generator, scale_px: float) -> np.ndarray:
     """Normal noise smoothed with a Gaussian of rms `scale_px`, mean 0 and variance 1; it wraps round at the edges."""
     white = rng.standard_normal((FRAME_PX, FRAME_PX), dtype=np.float32)
-    transfer = transfer_function(scale_px)
+    transfer = _transfer_function(scale_px)
     return fft.irfft2(fft.rfft2(white) * transfer, s=white.shape)
 
 
 @functools.lru_cache(maxsize=8)
-def transfer_function(scale_px: float) -> np.ndarray:
+def _transfer_function(scale_px: float) -> np.ndarray:
     """Fourier transform of the Gaussian, scaled so that white noise keeps its variance."""
     fy, fx = fft.fftfreq(FRAME_PX), fft.rfftfreq(FRAME_PX)
     transfer = np.exp(-2.0 * (math.pi * scale_px) ** 2 * (fy[:, None] ** 2 + fx[None, :] ** 2))

@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.hidden.base import Base
 from rig.hidden.designs import Shot
-from rig.hidden.effect import Effect
+from rig.hidden.effect import Effect, Signed
 from rig.hidden.strength import Reference, evidence
 
 
@@ -23,13 +23,11 @@ class AngleReflectance(Effect):
 
     gamma0: float = 0.0  # [deg]
     name = "angle_reflectance"
+    limits = 1e-5, 0.5
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, gamma0=rng.uniform(0.0, 180.0))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, 0.5
 
     def parameters(self) -> dict[str, float]:
         return {"d": self.strength, "gamma0": self.gamma0}
@@ -39,19 +37,16 @@ class AngleReflectance(Effect):
 
 
 @dataclass(frozen=True)
-class PhotonBudget(Effect):
+class PhotonBudget(Signed):
     """Light by another power of the exposure: (t / t_max)^q, t as in the manifest; strength |q| [1]."""
 
-    sign: float = 1.0
     t_max: float = 1.0
     name = "photon_budget"
+    limits = 1e-5, 1.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, sign=float(rng.choice([-1.0, 1.0])), t_max=max(base.exposures_s))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, 1.0
 
     def parameters(self) -> dict[str, float]:
         return {"q": self.sign * self.strength}
@@ -61,15 +56,10 @@ class PhotonBudget(Effect):
 
 
 @dataclass(frozen=True)
-class ShutterOffset(Effect):
+class ShutterOffset(Signed):
     """The true exposure is the nominal one plus a constant, for width, light, dark and motion; strength |s| [s]."""
 
-    sign: float = 1.0
     name = "shutter_offset"
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
-        return cls(0.0, sign=float(rng.choice([-1.0, 1.0])))
 
     def span(self, base: Base) -> tuple[float, float]:
         return 1e-5 * min(base.exposures_s), 0.5 * min(base.exposures_s)
@@ -112,28 +102,25 @@ class SpreadLaw(Effect):
         p1 = self.strength * self.spread_ref
         return dataclasses.replace(base, p1=p1, p2=self.spread_ref - p1 * math.log(self.t_ref))
 
-    def spread(self, spread: float, t: float, shot: Shot) -> float:
+    def spread(self, spread: float, t: float) -> float:
         # As a factor on the tangent, so that the baseline's own p1 and p2 still move the width.
         steps = math.log(t / self.t_ref)
         return spread * math.exp(self.strength * steps) / (1.0 + self.strength * steps)
 
 
 @dataclass(frozen=True)
-class LaserDrift(Effect):
+class LaserDrift(Signed):
     """Brightness runs with the order of acquisition, 1 at the first frame; strength: |change| at the last frame [1]."""
 
-    sign: float = 1.0
     frames: int = 2
     curvature: float = 0.0  # 0: linear; else 1 - exp(-curvature u), scaled to the same total
     name = "laser_drift"
+    limits = 1e-5, 0.5
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         curvature = rng.uniform(1.0, 3.0) if rng.random() < 0.3 else 0.0
         return cls(0.0, sign=float(rng.choice([-1.0, 1.0])), frames=len(shots), curvature=curvature)
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, 0.5
 
     def parameters(self) -> dict[str, float]:
         return {"total": self.sign * self.strength}
@@ -156,14 +143,12 @@ class PowerFluctuation(Effect):
     seed: int = 0
     frames: int = 1
     name = "power_fluctuation"
+    limits = 1e-5, 0.2
     scatters = True
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, str(rng.choice(["gaussian", "uniform"])), int(rng.integers(2**63)), len(shots))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, 0.2
 
     def parameters(self) -> dict[str, float]:
         return {"rms": self.strength}
@@ -186,14 +171,12 @@ class PointingJitter(Effect):
     seed: int = 0
     frames: int = 1
     name = "pointing_jitter"
+    limits = 1e-4, 3.0
     scatters = True
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, int(rng.integers(2**63)), len(shots))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-4, 3.0
 
     def parameters(self) -> dict[str, float]:
         return {"rms": self.strength}

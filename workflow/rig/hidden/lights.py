@@ -36,15 +36,12 @@ class ScatterHalo(Effect):
     profile: str = "gaussian"
     power: float = 2.0
     name = "scatter_halo"
-    rank = 10
+    limits = 1e-6, 0.3
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         profile = str(rng.choice(["exponential", "gaussian", "power_law"]))
         return cls(0.0, rng.uniform(1.5, 4.0) * middle_sigma(base), profile, rng.uniform(1.5, 3.0))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-6, 0.3
 
     def parameters(self) -> dict[str, float]:
         return {"fraction": self.strength, "radius": self.radius}
@@ -71,15 +68,12 @@ class GhostReflection(Effect):
     dx: float = 0.0  # [px]
     dy: float = 0.0  # [px]
     name = "ghost_reflection"
-    rank = 11
+    limits = 1e-6, 0.4
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         distance, direction = rng.uniform(1.0, 4.0) * middle_sigma(base), rng.uniform(0.0, 2.0 * math.pi)
         return cls(0.0, distance * math.cos(direction), distance * math.sin(direction))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-6, 0.4
 
     def parameters(self) -> dict[str, float]:
         return {"fraction": self.strength, "dx": self.dx, "dy": self.dy}
@@ -102,7 +96,7 @@ class InterferenceFringes(Effect):
     phi: float = 0.0  # [rad]
     seed: int = 0
     name = "interference_fringes"
-    rank = 12
+    limits = 1e-6, 0.6
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
@@ -111,9 +105,6 @@ class InterferenceFringes(Effect):
         return cls(
             0.0, period, rng.uniform(0.0, 180.0), phase, rng.uniform(0.0, 2.0 * math.pi), int(rng.integers(2**63))
         )
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-6, 0.6
 
     def parameters(self) -> dict[str, float]:
         return {"d": self.strength, "period": self.period, "direction": self.direction}
@@ -150,7 +141,6 @@ class Speckle(Effect):
     patterns: int = 0
     seed: int = 0
     name = "speckle"
-    rank = 13
     scatters = True
 
     @classmethod
@@ -188,7 +178,6 @@ class _Pedestal(Effect):
     """A pedestal in DN, the same at every exposure: as light (with shot noise and pixel gains) or as electronics."""
 
     source: str = "light"
-    rank = 14
 
     def form(self) -> dict[str, Any]:
         return {"source": self.source}
@@ -254,9 +243,6 @@ class BackgroundGradient(_Pedestal):
 
     def parameters(self) -> dict[str, float]:
         return {"level": self.lift * self.strength, "slope": self.strength, "direction": self.direction}
-
-    def simpler(self) -> Effect:
-        return DarkOffset(self.lift * self.strength, self.source)
 
     def pedestal(self, view: View) -> Array:
         direction = math.radians(self.direction)

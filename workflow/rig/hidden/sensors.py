@@ -13,7 +13,7 @@ import numpy as np
 from rig.hidden.base import Base
 from rig.hidden.clipping import clip_above
 from rig.hidden.designs import FRAME_PX, Shot
-from rig.hidden.effect import Array, Effect, Moments
+from rig.hidden.effect import Array, Effect, Moments, Signed
 from rig.hidden.strength import Reference, evidence
 from rig.hidden.world import View
 
@@ -23,10 +23,7 @@ class Smear(Effect):
     """Every column's electrons spread evenly over all its rows, on top of what is there; strength: fraction [1]."""
 
     name = "smear"
-    rank = 20
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-6, 0.3
+    limits = 1e-6, 0.3
 
     def parameters(self) -> dict[str, float]:
         return {"fraction": self.strength}
@@ -51,7 +48,6 @@ class Saturation(Effect):
     stage: str = "before read noise"
     order: float = 0.0  # 0: hard
     name = "saturation"
-    rank = 21
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
@@ -91,7 +87,7 @@ class Saturation(Effect):
     def electron_moments(self, mean: Array, variance: Array, view: View) -> Moments:
         return self._clip_moments(mean, variance) if self.stage == "before read noise" else (mean, variance)
 
-    def read(self, electrons: Array, base: Base) -> Array:
+    def read(self, electrons: Array) -> Array:
         return self._clip(electrons) if self.stage == "after read noise" else electrons
 
     def read_moments(self, mean: Array, variance: Array, base: Base) -> Moments:
@@ -104,19 +100,16 @@ class ExcessReadNoise(Effect):
 
     stated: float = 1.0  # [e-]
     name = "excess_read_noise"
-    rank = 2  # its moments come before a clip after read noise
+    limits = 1e-5, 24.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, base.read_noise)
 
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, 24.0
-
     def parameters(self) -> dict[str, float]:
         return {"total": self.stated * math.sqrt(1.0 + self.strength)}
 
-    def read_noise(self, noise: Array, base: Base, rng: np.random.Generator) -> Array:
+    def read_noise(self, noise: Array) -> Array:
         return noise * math.sqrt(1.0 + self.strength)
 
     def read_moments(self, mean: Array, variance: Array, base: Base) -> Moments:
@@ -124,19 +117,11 @@ class ExcessReadNoise(Effect):
 
 
 @dataclass(frozen=True)
-class Nonlinearity(Effect):
+class Nonlinearity(Signed):
     """y - q y^2 / full scale of the signal y without black level; strength |q| [1]."""
 
-    sign: float = 1.0
     name = "nonlinearity"
-    rank = 22
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
-        return cls(0.0, sign=float(rng.choice([-1.0, 1.0])))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-6, 0.3
+    limits = 1e-6, 0.3
 
     def parameters(self) -> dict[str, float]:
         return {"q": self.sign * self.strength}
@@ -154,7 +139,6 @@ class RowNoise(Effect):
     """Whole rows scatter together, anew in every frame; strength: Gaussian rms [DN]."""
 
     name = "row_noise"
-    rank = 23
     scatters = True
 
     def span(self, base: Base) -> tuple[float, float]:
@@ -184,7 +168,6 @@ class FixedPattern(Effect):
     hot_ratio: float = 0.0  # height of a hot pixel [DN] per unit of strength
     seed: int = 0
     name = "fixed_pattern"
-    rank = 15
     scatters = True
 
     @classmethod
@@ -243,8 +226,6 @@ class BlackClipping(Effect):
 
     by: str = "subtraction"
     name = "black_clipping"
-    rank = 24
-    black = False
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:

@@ -11,23 +11,16 @@ import numpy as np
 
 from rig.hidden.base import Base
 from rig.hidden.designs import Shot
-from rig.hidden.effect import Effect
+from rig.hidden.effect import Effect, Signed
 from rig.hidden.world import State
 
 
 @dataclass(frozen=True)
-class SuperGaussian(Effect):
+class SuperGaussian(Signed):
     """exp(-(rho^2/2)^n); strength |ln n|, steeper or flatter flanks."""
 
-    sign: float = 1.0
     name = "super_gaussian"
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
-        return cls(0.0, sign=float(rng.choice([-1.0, 1.0])))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, math.log(2.0)
+    limits = 1e-5, math.log(2.0)
 
     def parameters(self) -> dict[str, float]:
         return {"n": self.flank()}
@@ -43,13 +36,11 @@ class FibreAnisotropy(Effect):
     sense: float = 1.0
     zero_deg: float = 0.0
     name = "fibre_anisotropy"
+    limits = 1e-5, math.log(2.0)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, sense=float(rng.choice([-1.0, 1.0])), zero_deg=rng.uniform(0.0, 180.0))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, math.log(2.0)
 
     def parameters(self) -> dict[str, float]:
         return {"ratio": math.exp(self.strength)}
@@ -67,13 +58,11 @@ class BeamEllipticity(Effect):
 
     direction: float = 0.0  # [deg]
     name = "beam_ellipticity"
+    limits = 1e-5, math.log(2.0)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, direction=rng.uniform(0.0, 180.0))
-
-    def span(self, base: Base) -> tuple[float, float]:
-        return 1e-5, math.log(2.0)
 
     def parameters(self) -> dict[str, float]:
         return {"ratio": math.exp(self.strength), "direction": self.direction}

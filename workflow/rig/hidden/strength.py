@@ -18,9 +18,9 @@ import numpy as np
 from scipy import optimize
 
 from rig.hidden.base import Base
+from rig.hidden.chain import moments
 from rig.hidden.designs import CROP_PX, FRAME_PX, Design, Shot
 from rig.hidden.effect import Array, Effect, Moments
-from rig.hidden.moments import moments
 from rig.hidden.world import World
 
 _PIXELS = 300_000  # looked at, in all frames together: every thin-th row and column of the crop
@@ -33,32 +33,28 @@ def evidence(x: Array) -> Array:
 
 
 class Reference:
-    """A world without the effect in question, on a thinned grid of pixels, and how it answers to its own numbers.
+    """A baseline without the effect, on a thinned grid of pixels, and how it answers to its own numbers.
 
     Arrays are [site, exposure, y, x]; `mean` [DN], `variance` [DN^2], derivatives `d_log_peak`, `d_x`, `d_y` [DN/px].
     """
 
-    def __init__(self, world: World, frames: Sequence[Sequence[Shot]], thin: int) -> None:
-        self.world, self.frames, self.thin = world.steady(), frames, thin
-        self.mean, variance = self.pictures(self.world)
+    def __init__(self, base: Base, frames: Sequence[Sequence[Shot]], thin: int) -> None:
+        self.base, self.frames, self.thin = base, frames, thin
+        self.mean, variance = self.pictures(World(base))
         self.variance = np.maximum(variance, _LEAST)
-        base = self.world.base
         grow = 1e-3
         self.d_log_peak = self._slope(dataclasses.replace(base, peak_dn=base.peak_dn * (1 + grow)), grow)
         self.d_p2 = self._slope(dataclasses.replace(base, p2=base.p2 + 0.01), 0.01)
-        self.d_x = (self.pictures(self.world, 0.02, 0.0)[0] - self.mean) / 0.02
-        self.d_y = (self.pictures(self.world, 0.0, 0.02)[0] - self.mean) / 0.02
+        self.d_x = (self.pictures(World(base), 0.02, 0.0)[0] - self.mean) / 0.02
+        self.d_y = (self.pictures(World(base), 0.0, 0.02)[0] - self.mean) / 0.02
         self._shared = [self.d_log_peak, self.d_p2]
         if len(base.exposures_s) > 1:
             self._shared.append(self._slope(dataclasses.replace(base, p1=base.p1 + 0.01), 0.01))
-        for effect in self.world.effects:
-            self._shared.append(self._nuisance(effect))
 
     @functools.cached_property
     def d_reading(self) -> Array:
         """Derivative with respect to the black level [1]: less than 1 where readings stop at 0."""
-        base = self.world.base
-        return self._slope(dataclasses.replace(base, black_level=base.black_level + 0.05), 0.05)
+        return self._slope(dataclasses.replace(self.base, black_level=self.base.black_level + 0.05), 0.05)
 
     def pictures(self, world: World, dx: float = 0.0, dy: float = 0.0) -> Moments:
         """Mean and variance of all frames, all spots displaced by (dx, dy) px."""
@@ -87,13 +83,13 @@ class Reference:
     def distance2(self, mean: Array, variance: Array) -> float:
         """Squared signal-to-noise of pictures that the world, refitted, does not show."""
         left = self.refitted(mean)
-        expected = self.variance + self.world.base.gain * (mean - left - self.mean)
+        expected = self.variance + self.base.gain * (mean - left - self.mean)
         # A reading that never changes tells no more than one that seldom does.
         change = evidence(np.maximum(variance, _LEAST) / np.maximum(expected, _LEAST) - 1.0)
         return float((left**2 / self.variance + change).sum()) * self.thin**2
 
     def refitted(self, mean: Array) -> Array:
-        """What is left of `mean` - own mean after p1, p2, peak, centres and own effects' strengths took their share."""
+        """What is left of `mean` - own mean after p1, p2, peak and centres took their share."""
         root, local, shared = self._tangent
         left = ((mean - self.mean) * root).reshape(root.shape[0], -1)
         left = _without(left[:, None], local)[:, 0]
@@ -118,13 +114,7 @@ class Reference:
         return root, local, (vectors[:, kept] / np.sqrt(values[kept])).T @ shared
 
     def _slope(self, base: Base, step: float) -> Array:
-        return (self.pictures(dataclasses.replace(self.world, base=base))[0] - self.mean) / step
-
-    def _nuisance(self, effect: Effect) -> Array:
-        """Derivative with respect to the strength of one of the world's own effects (per relative change)."""
-        others = tuple(other for other in self.world.effects if other is not effect)
-        stronger = World(self.world.base, (*others, effect.at(1.01 * effect.strength)))
-        return (self.pictures(stronger)[0] - self.mean) / 0.01
+        return (self.pictures(World(base))[0] - self.mean) / step
 
 
 def _without(vectors: Array, local: Array) -> Array:
@@ -133,30 +123,25 @@ def _without(vectors: Array, local: Array) -> Array:
 
 
 class Judge:
-    """Signal-to-noise of effects in one dataset's design and frames."""
+    """Signal-to-noise of an effect in one dataset's design and frames."""
 
     def __init__(self, design: Design, shots: Sequence[Shot]) -> None:
         kept = sorted((s for s in shots if design.discovery(s.repeat)), key=lambda s: (s.site, s.exposure_s))
         step = len(design.exposures_s)
         self.frames = [kept[k : k + step] for k in range(0, len(kept), step)]
         self.thin = max(1, math.ceil(math.sqrt(len(kept) * CROP_PX**2 / _PIXELS)))
-        self._latest: tuple[World, Reference] | None = None
+        self._latest: Reference | None = None
 
-    def snr(self, base: Base, effects: Sequence[Effect], others: Sequence[Effect] = ()) -> float:
-        """Signal-to-noise of `effects` in the presence of `others`, whose strengths are refitted with the baseline."""
-        for effect in (*others, *effects):
-            base = effect.rebased(base)
-        reference = self._reference(World(base, tuple(others)))
-        steady = tuple(effect for effect in (*others, *effects) if not effect.scatters)
-        total = sum(effect.scatter_snr2(reference) for effect in effects)
-        if any(not effect.scatters for effect in effects):
-            total += reference.distance2(*reference.pictures(World(base, steady)))
+    def snr(self, base: Base, effect: Effect) -> float:
+        """Signal-to-noise of an effect."""
+        base = effect.rebased(base)
+        if self._latest is None or self._latest.base != base:
+            self._latest = Reference(base, self.frames, self.thin)
+        if effect.scatters:
+            total = effect.scatter_snr2(self._latest)
+        else:
+            total = self._latest.distance2(*self._latest.pictures(World(base, effect)))
         return math.sqrt(max(total, 0.0))
-
-    def _reference(self, world: World) -> Reference:
-        if self._latest is None or self._latest[0] != world:
-            self._latest = (world, Reference(world, self.frames, self.thin))
-        return self._latest[1]
 
 
 def solve(snr: Callable[[float], float], target: float, span: tuple[float, float]) -> float:

@@ -9,5 +9,4 @@ hene       what is put into the readings of real frames; `whole`: sets that are 
 draw       one job, one dataset folder, one truth
 plan       which sets are made, in which order
 generator  the generator; `reading`, `score`, `page`: from its records to the score table
-picture    beams and mechanisms to look at
 """

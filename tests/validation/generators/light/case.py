@@ -22,7 +22,6 @@ FEWEST, MOST = 5, 20
 SIGMA, GROWTH, LEAST_SIGMA = (16.0, 22.0), (0.8, 1.8), 14.0
 # Brightest light over full scale.
 BRIGHT = (0.5, 0.75)
-DESIGNS = ("default", "one_exposure", "single_frame")
 
 
 def draw_case(seed: int, design: str, light: str, names: list[str]) -> Case:
@@ -53,10 +52,7 @@ def draw_case(seed: int, design: str, light: str, names: list[str]) -> Case:
         read_noise=round(rng.uniform(3.0, 15.0), 2),
         dark_current=round(rng.uniform(0.0, 120.0), 1),
         black=max(black, 24) if any(name.startswith("outside:") for name in names) else black,
-        shift=0,
-        stacked=False,
         budget=budget,
-        top_hat=False,
         p1=float(p1),
         p2=float(p2),
         peak=float(rng.uniform(*BRIGHT) * FULL_SCALE / top),

@@ -107,11 +107,8 @@ def _on_top(case: Case) -> Effect | None:
 def write(case: Case, folder: Path) -> None:
     """A case as a dataset folder with one file a frame."""
     (folder / "frames").mkdir(parents=True, exist_ok=True)
-    sheet = instrument(case, folder.name)
-    sensor = sheet["sensor"]
-    assert isinstance(sensor, dict)
-    sensor["full_well_e"] = case.full_well
-    (folder / "instrument.yaml").write_text(yaml.safe_dump(sheet, sort_keys=False), encoding="utf-8")
+    sheet = yaml.safe_dump(instrument(case, folder.name), sort_keys=False)
+    (folder / "instrument.yaml").write_text(sheet, encoding="utf-8")
     rows: list[Sequence[object]] = [("file", "kind", "angle_deg", "exposure_s", "repeat")]
     for i, frame in enumerate(case.frames):
         file = f"frames/{i:04d}.tif"

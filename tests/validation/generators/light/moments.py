@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from tests.validation.generators.second.case import FULL_SCALE, Case, Effect
-from tests.validation.generators.second.optics import gradient, light, true_exposure
-from tests.validation.generators.second.sensor import saturate
+from tests.validation.generators.second.optics import light, true_exposure
+from tests.validation.generators.second.sensor import add_offsets, saturate
 
 # A reading's least variance [DN²]: below it nothing is known of rounding.
 LEAST = 1e-3
@@ -47,22 +47,11 @@ def moments(case: Case, i: int, image: np.ndarray | None = None) -> Moments:
     if bent := case.get("nonlinearity"):
         bend = bent["q"] / FULL_SCALE
         mean, variance = mean - bend * (mean**2 + variance), variance * (1 - 2 * bend * mean) ** 2
-    return _digital(case, i, mean + case.black, variance)
+    return _digital(case, i, add_offsets(case, i, mean), variance)
 
 
 def _digital(case: Case, i: int, mean: np.ndarray, variance: np.ndarray) -> Moments:
-    """Behind the black level: what is added to codes, and both ends."""
-    for name in ("dark_offset", "background_gradient"):
-        effect = case.get(name)
-        if effect and effect.form["as"] == "electronics":
-            mean = mean + (effect["level"] if name == "dark_offset" else gradient(case, effect))
-    if effect := case.get("row_noise"):
-        mean = mean + effect["rms"] * effect.state["z"][i][:, None]
-    if effect := case.get("fixed_pattern"):
-        hot = int(effect["hot_pixels"])
-        mean = mean.copy()
-        mean[effect.state["y"][:hot], effect.state["x"][:hot]] += effect.state["height"][:hot]
-    mean = case.apply("digital", mean, i)
+    """Behind all that is added to the signal: both ends, and what acts on codes."""
     if effect := case.get("black_clipping"):
         threshold = effect["threshold"]
         if effect.form["law"] == "subtraction":

@@ -1,12 +1,41 @@
-"""Mechanisms outside the vocabulary that no static shape holds: some of the second generator's, and more."""
+"""Mechanisms outside the vocabulary that no static shape holds. Each draws its form and returns a hook for one stage of
+the rendering."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-from tests.validation.generators.second import outside as second
 from tests.validation.generators.second.case import FULL_SCALE, Case, Effect
-from tests.validation.generators.second.outside import Rng, build, normals
+from tests.validation.generators.second.optics import spot
+
+Rng = np.random.Generator
+Normals = Callable[[int, tuple[int, ...]], np.ndarray]
+
+
+def build(
+    stage: str,
+    hook: Callable,
+    form: dict[str, object],
+    unit: str,
+    start: float,
+    cap: float,
+    floor: float = 0.0,
+    variance: Callable[[float], float] = lambda s: 1.0,
+) -> Effect:
+    """An effect whose only parameter is its strength in `unit`."""
+    told = {**form, "unit": unit, "stage": stage}
+    return Effect(lambda s: {"strength": s}, told, start, cap, floor=floor, stage=stage, hook=hook, variance=variance)
+
+
+def normals(rng: Rng) -> Normals:
+    """Normal numbers of a frame, the same at every call."""
+    seed = int(rng.integers(2**31))
+    return lambda i, shape: np.random.default_rng([seed, i]).standard_normal(shape)
+
+
+def ripples(phase: np.ndarray, z: Normals) -> Callable[[np.ndarray, int, float], np.ndarray]:
+    """A hook that modulates light by waves of a phase [pixel, rad], to which every frame adds one of its own."""
+    return lambda y, i, s: y * (1 + s * np.cos(phase + 10 * z(i, ())))
 
 
 def _middle(case: Case) -> np.ndarray:
@@ -78,9 +107,8 @@ def second_spot_sometimes(case: Case, rng: Rng) -> Effect:
     distance, angle, width = rng.uniform(20, 60), rng.uniform(0, 2 * np.pi), rng.uniform(4, 9)
     x, y = distance * np.cos(angle), distance * np.sin(angle)
     blob = np.exp(-((_middle(case)[None, :] - x) ** 2 + (_middle(case)[:, None] - y) ** 2) / (2 * width**2))
-    return build(
-        "light", lambda image, i, s: image + s * some[i] * blob, {"frames": int(some.sum())}, "DN", 10.0, 300.0
-    )
+    form: dict[str, object] = {"frames": int(some.sum())}
+    return build("light", lambda image, i, s: image + s * some[i] * blob, form, "DN", 10.0, 300.0)
 
 
 def gain_of_halves(case: Case, rng: Rng) -> Effect:
@@ -99,26 +127,82 @@ def converter_steps(case: Case, rng: Rng) -> Effect:
     return build("codes", hook, {"every_codes": every}, "codes", 2.0, 20.0)
 
 
+def column_gain(case: Case, rng: Rng) -> Effect:
+    """The gain scatters from column to column, anew in every frame (fixed, it would be a fixed pattern)."""
+    z = normals(rng)
+
+    def hook(e: np.ndarray, i: int, s: float, noise: Rng | None) -> np.ndarray:
+        return e * (1 + s * z(i, (1, case.size)))
+
+    return build("electrons", hook, {}, "fraction rms", 0.02, 0.2)
+
+
+def two_tap(case: Case, rng: Rng) -> Effect:
+    """The right half is read by a second amplifier whose zero is off, by an amount that scatters."""
+    z, right = normals(rng), np.arange(case.size) >= case.size // 2
+    return build("digital", lambda y, i, s: y + s * (1 + 0.3 * z(i, ())) * right, {}, "DN", 5.0, 25.0)
+
+
+def rolling_shade(case: Case, rng: Rng) -> Effect:
+    """A lamp-like ripple of the light along the rows' read-out; its phase is new in every frame."""
+    z, period = normals(rng), rng.uniform(22, 40)
+    phase = 2 * np.pi * np.arange(case.size)[:, None] / period
+    return build("light", ripples(phase, z), {"period_px": period}, "fraction", 0.03, 0.3)
+
+
+def focus_scatter(case: Case, rng: Rng) -> Effect:
+    """The width scatters from frame to frame at constant energy."""
+    z = normals(rng)
+    return build("width", lambda width, i, s: width * np.exp(s * z(i, ())), {}, "fraction rms", 0.02, 0.15)
+
+
+def width_by_angle(case: Case, rng: Rng) -> Effect:
+    """The width, not the axis ratio, follows the sample's angle."""
+    gamma0 = rng.uniform(0, 180)
+    angle = np.radians([frame.angle - gamma0 for frame in case.frames])
+
+    def hook(width: float, i: int, s: float) -> float:
+        return width * (1 + s * np.cos(2 * angle[i]))
+
+    return build("width", hook, {"gamma0_deg": gamma0}, "fraction", 0.02, 0.2)
+
+
+def image_lag(case: Case, rng: Rng) -> Effect:
+    """A part of the previous frame's spot is still there."""
+    return build("light", lambda y, i, s: y + s * spot(case.only(), i - 1) if i else y, {}, "fraction", 0.05, 0.4)
+
+
+def newton_rings(case: Case, rng: Rng) -> Effect:
+    """Concentric rings of interference whose phase is new in every frame."""
+    z, scale, at = normals(rng), rng.uniform(25, 40), (case.size - 1) / 2 + rng.uniform(-20, 20, 2)
+    axis = np.arange(case.size)
+    square = ((axis[None, :] - at[0]) ** 2 + (axis[:, None] - at[1]) ** 2) / scale**2
+    form: dict[str, object] = {"scale_px": scale, "x_px": float(at[0]), "y_px": float(at[1])}
+    return build("light", ripples(2 * np.pi * square, z), form, "fraction", 0.03, 0.3)
+
+
+def offset_wander(case: Case, rng: Rng) -> Effect:
+    """The zero of the whole frame scatters from frame to frame around the black level."""
+    z = normals(rng)
+    return build("digital", lambda y, i, s: y + s * z(i, ()), {}, "DN rms", 3.0, 8.0)
+
+
+def excess_shot_noise(case: Case, rng: Rng) -> Effect:
+    """A multiplication stage: noise that grows with the signal beyond Poisson's."""
+
+    def hook(e: np.ndarray, i: int, s: float, noise: Rng | None) -> np.ndarray:
+        return e if noise is None else e + np.sqrt(s * e) * noise.standard_normal(e.shape)
+
+    floor = rng.uniform(0.3, 1.0)
+    return build("electrons", hook, {}, "variance fraction", 0.3, 2.0, floor, lambda s: 1 + s)
+
+
 MECHANISMS: dict[str, Callable[[Case, Rng], Effect]] = {
     draw.__name__: draw
     for draw in (
-        second.image_lag,
-        vignetting,
-        flicker_rows,
-        converter_steps,
-        second.width_by_angle,
-        trefoil_by_exposure,
-        dust,
-        bad_frames,
-        second_spot_sometimes,
-        gain_of_halves,
-        second.two_tap,
-        second.focus_scatter,
-        second.rolling_shade,
-        second.column_gain,
-        second.newton_rings,
-        second.offset_wander,
-        second.excess_shot_noise,
+        *(image_lag, vignetting, flicker_rows, converter_steps, width_by_angle, trefoil_by_exposure),
+        *(dust, bad_frames, second_spot_sometimes, gain_of_halves, two_tap, focus_scatter),
+        *(rolling_shade, column_gain, newton_rings, offset_wander, excess_shot_noise),
     )
 }
 # What acts in few frames: those are looked at, and its strength is as it was drawn.

@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from tests.validation.generators.light import plan
+from tests.validation.generators.light.strength import LAWS
 from tests.validation.protocol import Record
 
 # Names of the light's static shape. On real beams none of them is false.
-SHAPES = frozenset({"beam_profile", "super_gaussian", "beam_ellipticity", "scatter_halo", "ghost_reflection"})
+SHAPES = frozenset({"beam_profile", *plan.SHAPES})
 # A mechanism outside the vocabulary for which the vocabulary has a right name: width that scatters between sites.
 RIGHT_OUTSIDE = {"outside:focus_scatter": "site_variation"}
 # A shape that no effect draws is no wrong name for a mechanism outside the vocabulary.
@@ -16,8 +18,6 @@ NO_NAME = frozenset({"beam_profile"})
 LIMIT_SECONDS = 200.0
 # Relative error of the clip level that is allowed on the default dataset.
 CLIP_TOLERANCE = 0.01
-# Laws, whose gap closes only by a law.
-LAWS = frozenset({"angle_reflectance", "photon_budget", "shutter_offset", "spread_law", "laser_drift"})
 # Directions repeat after so many degrees.
 PERIOD = {"direction": 180.0, "gamma0": 180.0}
 FULL_TURN = {("background_gradient", "direction"): 360.0}
@@ -121,7 +121,7 @@ def is_traceback(record: Record) -> bool:
 
 def law_gap_closed(record: Record) -> float | None:
     """Part of the gap on held-out frames that is closed, for sets with a law; None for others."""
-    if not names_put_in(record) & LAWS or record["job"]["kind"].startswith("outside") or not record["verdict"]:
+    if names_put_in(record).isdisjoint(LAWS) or record["job"]["kind"].startswith("outside") or not record["verdict"]:
         return None
     return record["verdict"]["gap"]["closed"]
 

@@ -3,7 +3,7 @@
 A row is met unless its 95 % interval excludes the required value. All that is read of one verdict is read in `reading`.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,16 +83,24 @@ def tabulate(records: Sequence[Record]) -> list[Row]:
     ]
 
 
+def measured_row(name: str, sets: int, required: str, shown: str, met: bool) -> Row:
+    """A row that states nothing where there is no set."""
+    return Row(name, shown, sets, required, met) if sets else Row(name, "—", 0, required, None)
+
+
+def say_share(hits: Sequence[bool]) -> str:
+    """A share in words, with its interval."""
+    low, high = wilson(sum(hits), len(hits))
+    share = 100 * sum(hits) / max(len(hits), 1)
+    return f"{sum(hits)} of {len(hits)}: {share:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
+
+
 def share_row(name: str, found: Iterable[bool], required: float, at_most: bool = False) -> Row:
     """A share that must be at least, or at most, so large."""
     hits = list(found)
-    count = len(hits)
-    if not count:
-        return Row(name, "—", 0, f"{'≤' if at_most else '≥'} {100 * required:g} %", None)
-    low, high = wilson(sum(hits), count)
+    low, high = wilson(sum(hits), len(hits))
     met = low <= required if at_most else high >= required
-    shown = f"{sum(hits)} of {count}: {100 * sum(hits) / count:.1f} % ({100 * low:.1f}–{100 * high:.1f})"
-    return Row(name, shown, count, f"{'≤' if at_most else '≥'} {100 * required:g} %", met)
+    return measured_row(name, len(hits), f"{'≤' if at_most else '≥'} {100 * required:g} %", say_share(hits), met)
 
 
 def frame_row(frames: Sequence[Record], what: str, least: int) -> Row:
@@ -118,57 +126,45 @@ def wide_rows(records: Sequence[Record]) -> list[Row]:
 
 def limit_row(name: str, value: float | None, sets: int, limit: float) -> Row:
     """A number that must be at most so large."""
-    if value is None or np.isnan(value):
-        return Row(name, "—", 0, f"≤ {limit:g}", None)
-    return Row(name, f"{value:.0f}", sets, f"≤ {limit:g}", value <= limit)
+    number = np.nan if value is None else value
+    return measured_row(name, 0 if np.isnan(number) else sets, f"≤ {limit:g}", f"{number:.0f}", number <= limit)
 
 
 def coverage_row(records: Sequence[Record]) -> Row:
     """How many 95 % intervals hold the truth."""
     inside = [abs(pull) <= COVER for record in records for pull in pulls(record).values()]
     low, high = wilson(sum(inside), len(inside))
-    name = "95 % intervals that hold the truth"
-    if not inside:
-        return Row(name, "—", 0, "92–98 %", None)
-    shown = f"{sum(inside)} of {len(inside)}: {100 * np.mean(inside):.1f} % ({100 * low:.1f}–{100 * high:.1f})"
-    return Row(name, shown, len(inside), "92–98 %", high >= 0.92 and low <= 0.98)
+    met = high >= 0.92 and low <= 0.98
+    return measured_row("95 % intervals that hold the truth", len(inside), "92–98 %", say_share(inside), met)
 
 
 def gap_row(records: Sequence[Record]) -> Row:
     """The median part of the gap that sets with a law close on held-out frames."""
     closed = [part for record in records if (part := law_gap_closed(record)) is not None]
-    if not closed:
-        return Row("sets with a law: gap closed on held-out frames, median", "—", 0, "≥ 0.95", None)
     low, high = bootstrap(closed, np.median)
-    shown = f"{np.median(closed):.3f} ({low:.3f}–{high:.3f})"
-    return Row("sets with a law: gap closed on held-out frames, median", shown, len(closed), "≥ 0.95", high >= 0.95)
+    shown = f"{np.median(closed or [np.nan]):.3f} ({low:.3f}–{high:.3f})"
+    name = "sets with a law: gap closed on held-out frames, median"
+    return measured_row(name, len(closed), "≥ 0.95", shown, high >= 0.95)
 
 
 def count_row(name: str, found: Iterable[bool]) -> Row:
     """A count that must be zero."""
     hits = list(found)
-    if not hits:
-        return Row(name, "—", 0, "0", None)
-    return Row(name, str(sum(hits)), len(hits), "0", not sum(hits))
+    return measured_row(name, len(hits), "0", str(sum(hits)), not sum(hits))
 
 
 def cost_rows(records: Sequence[Record]) -> list[Row]:
     """Seconds and memory of verdicts of 96 frames; a verdict that ran out of time took the limit."""
-
-    def taken(key: str, default: float = np.nan) -> np.ndarray:
-        return np.array([record.get(key) or default for record in records], float)
-
-    quantiles: tuple[tuple[str, Callable[[np.ndarray], float], str, float, float], ...] = (
-        ("verdict of 96 frames: CPU seconds, median", np.nanmedian, "cpu_seconds", LIMIT_SECONDS, 25.0),
-        ("verdict of 96 frames: CPU seconds, 90th percentile", lambda values: np.nanquantile(values, 0.9),
-         "cpu_seconds", LIMIT_SECONDS, 50.0),
-        ("verdict of 96 frames: memory, 90th percentile [MB]", lambda values: np.nanquantile(values, 0.9),
-         "memory_mb", np.nan, 700.0),
-    )  # fmt: skip
-    if not records:
-        return [limit_row(name, None, 0, limit) for name, *_, limit in quantiles]
-    return [limit_row(name, float(reduce(taken(key, default))), len(records), limit)
-            for name, reduce, key, default, limit in quantiles]  # fmt: skip
+    rows = []
+    for words, part, key, default, limit in (
+        ("CPU seconds, median", 0.5, "cpu_seconds", LIMIT_SECONDS, 25.0),
+        ("CPU seconds, 90th percentile", 0.9, "cpu_seconds", LIMIT_SECONDS, 50.0),
+        ("memory, 90th percentile [MB]", 0.9, "memory_mb", np.nan, 700.0),
+    ):
+        values = np.array([record.get(key) or default for record in records], float)
+        value = float(np.nanquantile(values, part)) if records else None
+        rows.append(limit_row(f"verdict of 96 frames: {words}", value, len(records), limit))
+    return rows
 
 
 def frames_of(record: Record) -> int:

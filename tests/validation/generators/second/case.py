@@ -9,30 +9,15 @@ from typing import Protocol
 import numpy as np
 
 LONG, MIDDLE, SHORT = 9e-4, 3e-4, 1e-4  # s
-DESIGNS: dict[str, tuple[int, int, tuple[float, ...]]] = {  # angles, repeats, exposures [s]
-    "default": (4, 8, (SHORT, MIDDLE, LONG)),
-    "two_exposures": (4, 8, (2e-4, 8e-4)),
-    "eight_angles": (8, 4, (SHORT, MIDDLE, LONG)),
-    "three_repeats": (4, 3, (SHORT, MIDDLE, LONG)),
-    "one_exposure": (4, 8, (MIDDLE,)),
-    "one_site": (1, 1, (SHORT, MIDDLE, LONG)),
-    "single_frame": (1, 1, (LONG,)),
-}
 CROP = 240  # px
 BITS = 10
 FULL_SCALE = 2**BITS - 1  # DN
 OPTICS = {"focal_length_m": 0.0502, "working_distance_m": 0.25, "f_number": 11.0, "filter_transmission": 0.9193}
 LASER = {"power_w": 0.001, "wavelength_m": 6.5e-7, "fwhm_x_m": 72.8e-6, "fwhm_y_m": 80.4e-6}
 PIXEL_PITCH = 5.5e-6  # m
-FULL_WELL = 13500.0  # e-
-LASER_WIDTH = (
-    OPTICS["focal_length_m"]
-    / OPTICS["working_distance_m"]
-    * (LASER["fwhm_x_m"] + LASER["fwhm_y_m"])
-    / 2
-    / 2.3548
-    / PIXEL_PITCH
-)  # px, the image of the laser's own width
+MAGNIFICATION = OPTICS["focal_length_m"] / OPTICS["working_distance_m"]
+# The image of the laser's own width [px].
+LASER_WIDTH = MAGNIFICATION * (LASER["fwhm_x_m"] + LASER["fwhm_y_m"]) / 2 / 2.3548 / PIXEL_PITCH
 
 
 @dataclass(frozen=True)
@@ -49,23 +34,21 @@ class Frame:
 class Effect:
     """One hidden effect. `at(s)` turns a strength s into the contract's parameters; the rest fixes its form.
 
-    `unknowns` counts the random numbers hidden in its realisation (0: deterministic). `stage` and `hook` belong to
-    mechanisms outside the vocabulary, which act through `Case.apply`. `floor` is the least s, for
-    effects that hardly move the mean; `variance(s)` is the factor on the shot-noise variance.
+    `start`, `floor` and `cap` are a usual, the least and the largest s. `stage` and `hook` belong to mechanisms outside
+    the vocabulary, which act through `Case.apply`; `variance(s)` is the factor on the shot-noise variance.
     """
 
-    name: str
     at: Callable[[float], dict[str, float]]
     form: dict[str, object]
     start: float
     cap: float
-    unknowns: int = 0
     seed: int = 0
     floor: float = 0.0
     state: dict[str, np.ndarray] = field(default_factory=dict)
     stage: str = ""
     hook: Callable[..., np.ndarray] | None = None
     variance: Callable[[float], float] = lambda s: 1.0
+    name: str = ""
     s: float = 0.0
 
     def __getitem__(self, key: str) -> float:
@@ -100,10 +83,7 @@ class Case:
     read_noise: float  # e- rms
     dark_current: float  # e-/s
     black: int  # DN
-    shift: int  # bits, left-aligned container
-    stacked: bool
     budget: str
-    top_hat: bool
     p1: float  # px
     p2: float  # px
     peak: float  # DN, amplitude A at the longest exposure
@@ -120,8 +100,7 @@ class Case:
     @property
     def plateau(self) -> float:
         """Highest base light [DN]."""
-        top = self.shape.top if self.shape else 1.0
-        return self.peak * (np.exp(-0.25) if self.top_hat else top)
+        return self.peak * (self.shape.top if self.shape else 1.0)
 
     def get(self, name: str) -> Effect | None:
         """The effect of this name, if the case has it."""
@@ -137,48 +116,3 @@ class Case:
             if effect.stage == stage:
                 value = effect.hook(value, i, effect.s, *extra)
         return value
-
-
-def draw_case(seed: int, design: str, names: list[str]) -> Case:
-    """Grid, camera and base spot of a seed. `names` decides only the black level and the frame's size, where an effect
-    needs one of them."""
-    rng = np.random.default_rng([seed, 0])
-    angles, repeats, exposures = DESIGNS[design]
-    step = 180.0 / angles
-    grid = [(a, r) for r in range(repeats) for a in range(angles)]  # the paper's cycles: the sample turns, then again
-    if rng.random() < 0.4:
-        grid.sort()
-    frames = [Frame(a * step, t, r, a * repeats + r) for a, r in grid for t in exposures]
-    p1 = rng.uniform(1.9, 3.0)
-    width = rng.uniform(13.0, 17.0)  # px at the geometric mean of the paper's exposures
-    p2 = width - p1 * np.log(SHORT * MIDDLE * LONG) / 3
-    if len(exposures) == 1:
-        p1, p2 = 0.0, p2 + p1 * np.log(exposures[0])
-    size = CROP if rng.random() < 0.75 or "smear" in names else CROP + 32
-    black = int(rng.choice([0, rng.integers(5, 60)], p=[0.3, 0.7]))
-    if "black_clipping" in names:
-        black = int(rng.choice([0, 0, 3]))
-    if any(name.startswith("outside:") for name in names):
-        black = max(black, 24)
-    top_hat = bool(rng.random() < 0.5)
-    plateau = rng.uniform(0.5, 0.75) * FULL_SCALE
-    roam = 5.0 if size == CROP else 14.0
-    centres = (size - 1) / 2 + rng.uniform(-roam, roam, (angles * repeats, 2))
-    return Case(
-        seed=seed,
-        design=design,
-        frames=frames,
-        size=size,
-        gain=round(float(np.exp(rng.uniform(np.log(0.07), np.log(0.2)))), 4),
-        read_noise=round(rng.uniform(8.0, 20.0), 2),
-        dark_current=round(rng.uniform(20.0, 120.0), 1),
-        black=black,
-        shift=int(rng.choice([0, 0, 0, 16 - BITS])),
-        stacked=bool(rng.random() < 0.3),
-        budget=str(rng.choice(["spot_area", "linear"])),
-        top_hat=top_hat,
-        p1=float(p1),
-        p2=float(p2),
-        peak=float(plateau * (np.exp(0.25) if top_hat else 1.0)),
-        centres=centres,
-    )

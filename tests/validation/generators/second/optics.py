@@ -1,4 +1,4 @@
-"""The light on the sensor, in DN, in the contract's order: shape, top hat, blur, halo, ghost, fringes, speckle,
+"""The light on the sensor, in DN, in the contract's order: shape, blur, halo, ghost, fringes, speckle,
 pedestals, pixel gains."""
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def coordinates(case: Case, i: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def spot(case: Case, i: int, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """The spot itself, displaced by `shift` px: shape, top hat, motion blur. DN."""
+    """The spot itself, displaced by `shift` px: shape, motion blur. DN."""
     frame, peak = case.frames[i], amplitude(case, i)
     t = true_exposure(case, frame)
     focus = case.apply("width", 1.0, i)
@@ -87,8 +87,6 @@ def spot(case: Case, i: int, shift: tuple[float, float] = (0.0, 0.0)) -> np.ndar
         image = peak * case.shape(dx / sigma * steeper, dy / sigma * steeper)
     else:
         image = peak * np.exp(-(half_square ** effect["n"] if effect else half_square))
-    if case.top_hat:
-        image = np.minimum(image, peak * np.exp(-0.25))
     image = case.apply("profile", image, i, half_square)
     if effect := case.get("motion_blur"):
         image = smear_along(image, effect["speed"] * t, effect["direction"])
@@ -157,6 +155,15 @@ def gradient(case: Case, effect: Effect) -> np.ndarray:
     return effect["level"] + effect["slope"] * (axis[None, :] * np.cos(angle) + axis[:, None] * np.sin(angle))
 
 
+def add_pedestals(case: Case, image: np.ndarray, source: str) -> np.ndarray:
+    """An image [DN] with the pedestals of a source, light or electronics."""
+    for name in ("dark_offset", "background_gradient"):
+        effect = case.get(name)
+        if effect and effect.form["as"] == source:
+            image = image + (effect["level"] if name == "dark_offset" else gradient(case, effect))
+    return image
+
+
 def light(case: Case, i: int) -> np.ndarray:
     """Mean light of frame i in DN."""
     image = spot(case, i)
@@ -170,11 +177,7 @@ def light(case: Case, i: int) -> np.ndarray:
         image = image * fringes(case, i, effect)
     if effect := case.get("speckle"):
         image = image * speckle(effect, case.frames[i].site, case.size)
-    image = case.apply("light", image, i)
-    for name in ("dark_offset", "background_gradient"):
-        effect = case.get(name)
-        if effect and effect.form["as"] == "light":
-            image = image + (effect["level"] if name == "dark_offset" else gradient(case, effect))
+    image = add_pedestals(case, case.apply("light", image, i), "light")
     if effect := case.get("fixed_pattern"):
         image = image * (1 + effect["prnu"] * effect.state["z"])
     return np.maximum(image, 0.0)

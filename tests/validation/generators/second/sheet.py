@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.validation.generators.second.case import BITS, CROP, FULL_SCALE, FULL_WELL, LASER, OPTICS, PIXEL_PITCH, Case
+from tests.validation.generators.second.case import BITS, CROP, LASER, OPTICS, PIXEL_PITCH, Case
 
 
 def instrument(case: Case, name: str) -> dict[str, object]:
@@ -15,10 +15,9 @@ def instrument(case: Case, name: str) -> dict[str, object]:
         "dark_current_e_per_s": case.dark_current,
         "quantum_efficiency": 0.38,
         "black_level_dn": case.black,
-        "value_shift_bits": case.shift,
+        "value_shift_bits": 0,
+        "full_well_e": case.full_well,
     }
-    if FULL_WELL * case.gain > 1.1 * FULL_SCALE:
-        sensor["full_well_e"] = FULL_WELL
     return {
         "name": name,
         "order_known": True,
@@ -27,5 +26,5 @@ def instrument(case: Case, name: str) -> dict[str, object]:
         "optics": OPTICS,
         "laser": LASER,
         "material": {"reflectance": 0.02},
-        "model": {"photon_budget": case.budget, "top_hat": case.top_hat},
+        "model": {"photon_budget": case.budget, "top_hat": False},
     }
