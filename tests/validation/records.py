@@ -54,24 +54,13 @@ def _lines(text: str) -> Iterator[Record]:
             continue
 
 
-class Writer:
-    """Adds records to a file, each on disk before the next."""
-
-    def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
-        self._stream = path.open("a", encoding="utf-8")
-        if not whole:
-            self._stream.write("\n")
-
-    def add(self, record: Record) -> None:
-        """Write one record."""
-        self._stream.write(json.dumps(record, allow_nan=False) + "\n")
-        self._stream.flush()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
+def add(path: Path, record: Record) -> None:
+    """Add a record to a file, behind what a crash may have cut short."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    start = "" if not path.exists() or path.read_bytes()[-1:] in (b"", b"\n") else "\n"
+    line = json.dumps(record, allow_nan=False)
+    with path.open("a", encoding="utf-8") as stream:
+        stream.write(f"{start}{line}\n")
 
 
 def _git(*arguments: str) -> str:

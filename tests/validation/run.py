@@ -30,15 +30,11 @@ def main() -> None:
     if not args.report:
         deadline = time.time() + 3600 * args.hours
         jobs = todo(own, first, args, {record["job"]["seed"] for record in done})
-        writer = records.Writer(path)
-        try:
-            work = partial(judge.record_of, args.generator)
-            for number, record in enumerate(run(jobs, work, args.workers, deadline), 1):
-                writer.add(record)
-                done.append(record)
-                progress(number, deadline)
-        finally:
-            writer.close()
+        work = partial(judge.record_of, args.generator)
+        for number, record in enumerate(run(jobs, work, args.workers, deadline), 1):
+            records.add(path, record)
+            done.append(record)
+            progress(number, deadline)
     if not done:
         sys.exit(f"nothing was judged at {name}, so there is nothing to report")
     print(own.report(sorted(done, key=lambda record: record["job"]["number"]), folder, name, args.publish))

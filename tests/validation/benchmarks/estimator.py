@@ -6,16 +6,15 @@ ratio of times is taken within its round.
 
 import sys
 import time
-from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.metadata import version
-from typing import NamedTuple
 
 import numpy as np
 
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.sensor import SensorModel
 from tests.validation.benchmarks import peers, spots
+from tests.validation.benchmarks.peers import Answers, Estimator, Sample
 from tests.validation.benchmarks.spots import MAJOR, MINOR
 from tests.validation.benchmarks.table import Figure, Limit, Part, Point, Table, ratio_figure, spread
 
@@ -26,32 +25,6 @@ EFFICIENT, AT_OPTIMUM = 1.1, 2.0
 COUNTER = SensorModel(1.0, 0.0)
 OURS = "ours"
 COLUMNS = ("estimator", "free", "ms per image", "rms z", "mean z", "|z| > 10", "says converged", "how")
-
-
-class Sample(NamedTuple):
-    """Images [n, rows, columns] with the true widths [n, 2], their bounds [n, 2] and a start [n, 7] for those who take
-    one."""
-
-    images: np.ndarray
-    widths: np.ndarray
-    bounds: np.ndarray
-    starts: np.ndarray
-
-
-class Entrant(NamedTuple):
-    """One estimator: `run(sample)` returns widths [n, 2] and whether each fit says that it converged."""
-
-    name: str
-    kind: str
-    parameters: int
-    remark: str
-    run: Callable[[Sample], tuple[np.ndarray, Sequence[bool | None]]]
-    integrated: bool = False
-
-    @property
-    def ours(self) -> bool:
-        """Whether it is this library's."""
-        return self.name.startswith(OURS)
 
 
 def sample(count: int, rng: np.random.Generator, integrated: bool) -> Sample:
@@ -70,36 +43,18 @@ def sample(count: int, rng: np.random.Generator, integrated: bool) -> Sample:
     return Sample(*(np.array(part) for part in (images, widths, bounds, starts)))
 
 
-def _ours(given: Sample, weighting: str, integrated: bool = False):
+def _ours(given: Sample, weighting: str, integrated: bool = False) -> Answers:
     fits = fit_spots(given.images, COUNTER, weighting=weighting, integrated=integrated)
     return fits.value[:, [MAJOR, MINOR]], fits.flags == 0
 
 
-def _one_by_one(given: Sample, fit: Callable[..., peers.Answer]):
-    answers = []
-    for image, start in zip(given.images, given.starts, strict=True):
-        try:
-            answers.append(fit(image, start))
-        except RuntimeError:
-            answers.append((np.nan, np.nan, False))
-    return np.array([a[:2] for a in answers]), [a[2] for a in answers]
-
-
-def entrants() -> list[Entrant]:
-    """Ours and all peers."""
-    equal, likely = (partial(_ours, weighting=weighting) for weighting in ("equal", "likelihood"))
-    integrated = partial(_ours, weighting="likelihood", integrated=True)
-    start = "finds its own start"
-    own = [
-        Entrant(OURS, peers.LIKELIHOOD, 7, start, likely),
-        Entrant("ours, equal weights", peers.LEAST_SQUARES, 7, start, equal),
-        Entrant("ours, integrated", peers.LIKELIHOOD, 7, f"pixel-integrated; {start}", integrated, True),
-    ]
-    others = [
-        Entrant(p.name, p.kind, p.parameters, p.remark, partial(_one_by_one, fit=p.fit), p is peers.INTEGRATED_PEER)
-        for p in (*peers.PEERS, peers.INTEGRATED_PEER)
-    ]
-    return own + others
+_START = "finds its own start"
+OWN = (
+    Estimator(OURS, "", peers.LIKELIHOOD, 7, partial(_ours, weighting="likelihood"), _START),
+    Estimator("ours, equal weights", "", peers.LEAST_SQUARES, 7, partial(_ours, weighting="equal"), _START),
+    Estimator("ours, integrated", "", peers.LIKELIHOOD, 7,
+              partial(_ours, weighting="likelihood", integrated=True), f"pixel-integrated; {_START}", integrated=True),
+)  # fmt: skip
 
 
 class Runs:
@@ -110,7 +65,7 @@ class Runs:
         self.z: list[np.ndarray] = []
         self.converged: list[bool | None] = []
 
-    def add(self, entrant: Entrant, given: Sample) -> None:
+    def add(self, entrant: Estimator, given: Sample) -> None:
         """Run once."""
         start = time.perf_counter()
         widths, converged = entrant.run(given)
@@ -124,7 +79,7 @@ class Runs:
         return float(np.sqrt(np.mean(np.square(self.z))))
 
 
-def race(everyone: list[Entrant], rounds: int, batch: int) -> tuple[dict[str, Runs], dict[str, str]]:
+def race(everyone: list[Estimator], rounds: int, batch: int) -> tuple[dict[str, Runs], dict[str, str]]:
     """Results of all that can run, and the reasons of those that cannot."""
     rng = np.random.default_rng(SEED)
     able, absent = [], {}
@@ -145,7 +100,7 @@ def race(everyone: list[Entrant], rounds: int, batch: int) -> tuple[dict[str, Ru
     return runs, absent
 
 
-def _row(entrant: Entrant, runs: Runs) -> list[str]:
+def _row(entrant: Estimator, runs: Runs) -> list[str]:
     z = np.concatenate(runs.z)
     said = [c for c in runs.converged if c is not None]
     return [
@@ -160,11 +115,11 @@ def _row(entrant: Entrant, runs: Runs) -> list[str]:
     ]
 
 
-def _figures(everyone: list[Entrant], runs: dict[str, Runs]) -> list[Figure]:
+def _figures(everyone: list[Estimator], runs: dict[str, Runs]) -> list[Figure]:
     """Times of the fastest peers over ours: of those that are as accurate, and of those that reach the optimum of least
     squares."""
     ms = {name: np.array(run.ms) for name, run in runs.items()}
-    rivals = [e for e in everyone if e.name in runs and not e.ours and not e.integrated]
+    rivals = [e for e in everyone if e.name in runs and e.package and not e.integrated]
     rivals.sort(key=lambda e: np.median(ms[e.name]))
     efficient = [e.name for e in rivals if runs[e.name].rms <= EFFICIENT]
     squares = [e.name for e in rivals if e.kind == peers.LEAST_SQUARES and runs[e.name].rms <= AT_OPTIMUM]
@@ -183,7 +138,7 @@ def _figures(everyone: list[Entrant], runs: dict[str, Runs]) -> list[Figure]:
 
 def measure(rounds: int = 24, batch: int = 4) -> Part:
     """Race all entrants over `rounds` × `batch` images."""
-    everyone = entrants()
+    everyone = [*OWN, *peers.PEERS]
     runs, absent = race(everyone, rounds, batch)
     count = rounds * batch
     note = (
@@ -203,7 +158,7 @@ def measure(rounds: int = 24, batch: int = 4) -> Part:
         rows += [] if integrated else [["pyxel-sim, prysm, emva1288", "", "no fit of a spot", "", "", "", "", ""]]
         tables.append(Table(title, COLUMNS, rows, "" if integrated else note))
     points = [
-        Point("fit", "ours" if e.ours else e.kind, e.name, *spread(runs[e.name].ms), runs[e.name].rms)
+        Point("fit", e.kind if e.package else "ours", e.name, *spread(runs[e.name].ms), runs[e.name].rms)
         for e in everyone
         if e.name in runs
     ]

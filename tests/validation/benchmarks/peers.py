@@ -6,7 +6,8 @@ start, it gets the same one as all others.
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +15,19 @@ import numpy as np
 from tests.validation.benchmarks.spots import MAJOR, MINOR, X, Y, mean_image, slopes
 
 Answer = tuple[float, float, bool | None]
+Answers = tuple[np.ndarray, Sequence[bool | None]]
 # Migrad and Poisson logarithms need a mean above 0.
 LEAST_E = 1e-9
+
+
+class Sample(NamedTuple):
+    """Images [n, rows, columns] with the true widths [n, 2], their bounds [n, 2] and a start [n, 7] for those who take
+    one."""
+
+    images: np.ndarray
+    widths: np.ndarray
+    bounds: np.ndarray
+    starts: np.ndarray
 
 
 def _answer(theta, converged: bool | None = True) -> Answer:
@@ -26,14 +38,13 @@ def _answer(theta, converged: bool | None = True) -> Answer:
 def _curve_fit(image, start, sigma=None) -> np.ndarray:
     from scipy.optimize import curve_fit
 
-    return curve_fit(
-        lambda _, *theta: mean_image(theta).ravel(),
-        None,
-        image.ravel(),
-        p0=start,
-        sigma=sigma,
-        jac=lambda _, *theta: slopes(theta).reshape(7, -1).T,
-    )[0]
+    def model(_, *theta):
+        return mean_image(theta).ravel()
+
+    def jacobian(_, *theta):
+        return slopes(theta).reshape(7, -1).T
+
+    return curve_fit(model, None, image.ravel(), p0=start, sigma=sigma, jac=jacobian)[0]
 
 
 def scipy_unweighted(image, start) -> Answer:
@@ -66,7 +77,9 @@ def lmfit_model(image, start) -> Answer:
     return _answer([result.params[name].value for name in model.param_names], bool(result.success))
 
 
-def _astropy(fitter_name: str, image, start) -> Answer:
+def astropy_fitter(image, start, fitter_name: str) -> Answer:
+    """Least squares by one of the package's fitters: MINPACK, through the older interface or `least_squares`, or the
+    trust region that it recommends."""
     from astropy.modeling import fitting, models
 
     amplitude, x0, y0, major, minor, orientation, offset = start
@@ -79,21 +92,6 @@ def _astropy(fitter_name: str, image, start) -> Answer:
     found = fitter.fit_info
     low, high = sorted((abs(fitted.x_stddev_0.value), abs(fitted.y_stddev_0.value)))
     return high, low, found["ierr"] in (1, 2, 3, 4) if "ierr" in found else bool(found.success)
-
-
-def astropy_levmar(image, start) -> Answer:
-    """MINPACK through the older interface."""
-    return _astropy("LevMarLSQFitter", image, start)
-
-
-def astropy_lm(image, start) -> Answer:
-    """MINPACK through `least_squares`."""
-    return _astropy("LMLSQFitter", image, start)
-
-
-def astropy_trf(image, start) -> Answer:
-    """Trust region reflective, the fitter that astropy recommends."""
-    return _astropy("TRFLSQFitter", image, start)
 
 
 def iminuit_poisson(image, start) -> Answer:
@@ -117,38 +115,13 @@ def iminuit_poisson(image, start) -> Answer:
     return _answer(minuit.values, bool(minuit.valid))
 
 
-def _picasso(image, start, mle: bool, tolerance: float, most: int) -> Answer:
+def picasso_rotated(image, start, mle: bool, tolerance: float, most: int) -> Answer:
+    """Poisson likelihood or least squares, up to a tolerance or a number of steps."""
     from picasso.fitting import gaussfit
 
-    theta, _, states, _ = gaussfit.fit_spots(
-        gaussfit.ROTATED, image[None], start[None, [0, 1, 2, 3, 4, 6, 5]], mle, tolerance, most
-    )
+    starts = start[None, [0, 1, 2, 3, 4, 6, 5]]
+    theta, _, states, _ = gaussfit.fit_spots(gaussfit.ROTATED, image[None], starts, mle, tolerance, most)
     return _answer(theta[0], bool(states[0] == gaussfit.FIT_STATE_CONVERGED))
-
-
-def picasso_lsq(image, start) -> Answer:
-    """Least squares on the schedule of its own pipeline."""
-    return _picasso(image, start, False, 1e-2, 200)
-
-
-def picasso_lsq_tight(image, start) -> Answer:
-    """Least squares to the optimum."""
-    return _picasso(image, start, False, 1e-9, 200)
-
-
-def picasso_mle(image, start) -> Answer:
-    """Poisson likelihood on the schedule of its own pipeline."""
-    return _picasso(image, start, True, 1e-5, 100)
-
-
-def picasso_mle_tight(image, start) -> Answer:
-    """Poisson likelihood to the optimum."""
-    return _picasso(image, start, True, 1e-9, 100)
-
-
-def picasso_mle_loose(image, start) -> Answer:
-    """Poisson likelihood as `fit_spots` runs when nothing is said."""
-    return _picasso(image, start, True, 1e-2, 20)
 
 
 def picasso_integrated(image, start) -> Answer:
@@ -178,47 +151,65 @@ def galsim_moments(image, start) -> Answer:
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
     # Images of this package count pixels from 1.
     centre = galsim.PositionD(start[1] + 1, start[2] + 1)
-    shape = galsim.hsm.FindAdaptiveMom(
-        galsim.Image(image - border.mean()),
-        guess_sig=float(np.sqrt(start[MAJOR] * start[MINOR])),
-        guess_centroid=centre,
-        strict=False,
-    )
+    picture, width = galsim.Image(image - border.mean()), float(np.sqrt(start[MAJOR] * start[MINOR]))
+    shape = galsim.hsm.FindAdaptiveMom(picture, guess_sig=width, guess_centroid=centre, strict=False)
     # |g| = (1 − q)/(1 + q) for the ratio q of the axes
     g = abs(shape.observed_shape.g)
     ratio = (1 + g) / (1 - g)
     return shape.moments_sigma * ratio**0.5, shape.moments_sigma / ratio**0.5, shape.moments_status == 0
 
 
-class Peer(NamedTuple):
-    """An estimator: its name, its package, what it estimates by, how many parameters it finds, function, a remark."""
+def one_by_one(given: Sample, fit: Callable[..., Answer]) -> Answers:
+    """Both widths of every image by an estimator of one image, and whether it says that it converged."""
+    answers = []
+    for image, start in zip(given.images, given.starts, strict=True):
+        try:
+            answers.append(fit(image, start))
+        except RuntimeError:
+            answers.append((np.nan, np.nan, False))
+    return np.array([a[:2] for a in answers]), [a[2] for a in answers]
+
+
+class Estimator(NamedTuple):
+    """An estimator: its name and package, what it estimates by, how many parameters it finds, what fits a sample of
+    images, a remark, and whether it integrates the spot over pixels."""
 
     name: str
     package: str
     kind: str
     parameters: int
-    fit: Callable[..., Answer]
+    run: Callable[[Sample], Answers]
     remark: str = ""
+    integrated: bool = False
+
+
+def _peer(name: str, package: str, kind: str, parameters: int, fit: Callable[..., Answer], remark: str) -> Estimator:
+    return Estimator(name, package, kind, parameters, partial(one_by_one, fit=fit), remark)
 
 
 LEAST_SQUARES, LIKELIHOOD, MOMENTS = "least squares", "likelihood", "moments"
+# The schedules of picasso's own pipeline on a CPU, those of `fit_spots` if nothing is said, and tight ones.
+_PICASSO = (
+    ("lsq", LEAST_SQUARES, "its CPU default, tolerance 1e-2", 1e-2, 200),
+    ("lsq, tight", LEAST_SQUARES, "tolerance 1e-9", 1e-9, 200),
+    ("mle", LIKELIHOOD, "its CPU default, tolerance 1e-5", 1e-5, 100),
+    ("mle, tight", LIKELIHOOD, "tolerance 1e-9", 1e-9, 100),
+    ("mle, loose", LIKELIHOOD, "default of fit_spots, tolerance 1e-2", 1e-2, 20),
+)
 PEERS = (
-    Peer("scipy curve_fit", "scipy", LEAST_SQUARES, 7, scipy_unweighted, "analytic Jacobian"),
-    Peer("scipy, weights of data", "scipy", LEAST_SQUARES, 7, scipy_data_weights, "1/√data, analytic Jacobian"),
-    Peer("scipy, reweighted", "scipy", LIKELIHOOD, 7, scipy_reweighted, "3 fits with 1/√model, analytic Jacobian"),
-    Peer("lmfit", "lmfit", LEAST_SQUARES, 7, lmfit_model, "Model, leastsq"),
-    Peer("astropy LevMar", "astropy", LEAST_SQUARES, 7, astropy_levmar, "Gaussian2D + Const2D"),
-    Peer("astropy LM", "astropy", LEAST_SQUARES, 7, astropy_lm, "Gaussian2D + Const2D"),
-    Peer("astropy TRF", "astropy", LEAST_SQUARES, 7, astropy_trf, "Gaussian2D + Const2D"),
-    Peer("iminuit", "iminuit", LIKELIHOOD, 7, iminuit_poisson, "Migrad, strategy 0, analytic gradient"),
-    Peer("picasso lsq", "picassosr", LEAST_SQUARES, 7, picasso_lsq, "its CPU default, tolerance 1e-2"),
-    Peer("picasso lsq, tight", "picassosr", LEAST_SQUARES, 7, picasso_lsq_tight, "tolerance 1e-9"),
-    Peer("picasso mle", "picassosr", LIKELIHOOD, 7, picasso_mle, "its CPU default, tolerance 1e-5"),
-    Peer("picasso mle, tight", "picassosr", LIKELIHOOD, 7, picasso_mle_tight, "tolerance 1e-9"),
-    Peer("picasso mle, loose", "picassosr", LIKELIHOOD, 7, picasso_mle_loose, "default of fit_spots, tolerance 1e-2"),
-    Peer("laserbeamsize", "laserbeamsize", MOMENTS, 5, laserbeamsize_moments, "ISO 11146; takes no start"),
-    Peer("galsim hsm", "galsim", MOMENTS, 6, galsim_moments, "adaptive moments, mean of the border taken off"),
-)
-INTEGRATED_PEER = Peer(
-    "picasso gaussmle", "picassosr", LIKELIHOOD, 6, picasso_integrated, "pixel-integrated, own start, tolerance 1e-3"
-)
+    _peer("scipy curve_fit", "scipy", LEAST_SQUARES, 7, scipy_unweighted, "analytic Jacobian"),
+    _peer("scipy, weights of data", "scipy", LEAST_SQUARES, 7, scipy_data_weights, "1/√data, analytic Jacobian"),
+    _peer("scipy, reweighted", "scipy", LIKELIHOOD, 7, scipy_reweighted, "3 fits with 1/√model, analytic Jacobian"),
+    _peer("lmfit", "lmfit", LEAST_SQUARES, 7, lmfit_model, "Model, leastsq"),
+    *(_peer(f"astropy {name}", "astropy", LEAST_SQUARES, 7,
+            partial(astropy_fitter, fitter_name=f"{name}LSQFitter"), "Gaussian2D + Const2D")
+      for name in ("LevMar", "LM", "TRF")),
+    _peer("iminuit", "iminuit", LIKELIHOOD, 7, iminuit_poisson, "Migrad, strategy 0, analytic gradient"),
+    *(_peer(f"picasso {name}", "picassosr", kind, 7,
+            partial(picasso_rotated, mle=kind == LIKELIHOOD, tolerance=tolerance, most=most), remark)
+      for name, kind, remark, tolerance, most in _PICASSO),
+    _peer("laserbeamsize", "laserbeamsize", MOMENTS, 5, laserbeamsize_moments, "ISO 11146; takes no start"),
+    _peer("galsim hsm", "galsim", MOMENTS, 6, galsim_moments, "adaptive moments, mean of the border taken off"),
+    _peer("picasso gaussmle", "picassosr", LIKELIHOOD, 6, picasso_integrated,
+          "pixel-integrated, own start, tolerance 1e-3")._replace(integrated=True),
+)  # fmt: skip

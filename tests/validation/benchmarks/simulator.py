@@ -1,6 +1,6 @@
 """The simulator against plain numpy and against other packages: time of one random frame, its mean light included.
 
-Its readings are tested against the exact distribution too, which `tests.reference.exact_law` sums by itself.
+tests/sensor/test_reading_samples.py compares its readings with the exact distribution.
 """
 
 import sys
@@ -8,14 +8,12 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from scipy.stats import chi2
 
 from spotcheck.model.forward import RandomStreams
 from spotcheck.sensor import ReadingDistribution, SensorModel
-from tests.reference.exact_law import reading_law
 from tests.validation.benchmarks import spots
 from tests.validation.benchmarks.simulators import SIMULATORS, Scene
-from tests.validation.benchmarks.table import Figure, Limit, Part, Point, Spread, Table, ratio_figure, spread
+from tests.validation.benchmarks.table import Limit, Part, Point, Spread, Table, ratio_figure, spread
 
 SEED = 20260104
 OURS, NUMPY, MEAN = "ours", "numpy", "mean model alone"
@@ -27,10 +25,6 @@ SCENES = {
 }
 # The time of a frame by numpy over ours.
 FASTER, MUCH_FASTER = Limit("≥", 6), Limit("≥", 8)
-# Readings of each light level in the chi-squared tests, and the fewest that are expected in a bin.
-SAMPLES, FEWEST = 1_000_000, 25
-# Chance that the smallest p-value of a scene is below its limit although the readings follow the distribution.
-FALSE_ALARM = 1e-4
 Makers = dict[str, Callable[[], object]]
 
 
@@ -70,46 +64,6 @@ def race(out: Makers, rounds: int, batch: int, label: str) -> dict[str, np.ndarr
     return {name: np.array(values) for name, values in ms.items()}
 
 
-def light_levels(sensor: SensorModel) -> np.ndarray:
-    """Return 20 mean numbers of electrons: none, near black, between, and from below the first clip to beyond it."""
-    end = min(sensor.full_well_e, (sensor.full_scale_dn - sensor.black_level_dn) / sensor.gain_dn_per_e)
-    sd = np.sqrt(end + sensor.read_noise_e**2)
-    near_black, between = [0.0, 0.02, 0.3, 1.1, 2.9, 7.0, 19.0, 50.0], end * np.array([0.03, 0.1, 0.25, 0.5, 0.8])
-    return np.concatenate([near_black, between, end + sd * np.array([-3.0, -1.5, -0.5, 0.1, 0.9, 2.2]), [1.3 * end]])
-
-
-def histogram_p(readings: np.ndarray, probability: np.ndarray) -> float:
-    """Return the p-value of χ² of readings against the probability of the codes 0, 1, 2 …; NaN if one bin holds all.
-
-    Neighbouring codes share a bin until `FEWEST` readings are expected in it.
-    """
-    expected = probability * readings.size
-    observed = np.bincount(readings, minlength=expected.size)
-    if observed.size > expected.size or np.any(observed[expected < 1e-9]):
-        return 0.0
-    starts = [0]
-    for code in range(1, expected.size):
-        if expected[starts[-1] : code].sum() >= FEWEST and expected[code:].sum() >= FEWEST:
-            starts.append(code)
-    if len(starts) == 1:
-        return np.nan
-    want, got = (np.add.reduceat(values, starts) for values in (expected, observed))
-    return float(chi2.sf(np.sum((got - want) ** 2 / want), want.size - 1))
-
-
-def histogram_figure(label: str, sensor: SensorModel) -> Figure:
-    """Return the smallest p-value of chi-squared tests of sampled readings at 20 light levels."""
-    reading, rng = ReadingDistribution(sensor), np.random.default_rng(SEED)
-    levels = light_levels(sensor)
-    values = [
-        histogram_p(reading.sample(np.full(SAMPLES, sensor.gain_dn_per_e * nu), rng), reading_law(nu, sensor))
-        for nu in levels
-    ]
-    smallest, tested = float(np.nanmin(values)), int(np.isfinite(values).sum())
-    name = f"smallest p of χ² tests of readings at {levels.size} light levels, {label}"
-    return Figure(name, smallest, f"{smallest:.2g} of {tested}", Limit("≥", FALSE_ALARM / levels.size))
-
-
 def measure(rounds: int = 30, batch: int = 8) -> Part:
     """Race all over `rounds` × `batch` frames of each scene."""
     figures, rows = [], []
@@ -122,7 +76,6 @@ def measure(rounds: int = 30, batch: int = 8) -> Part:
         name = f"time of a frame by numpy / ours, {label}"
         figures.append(ratio_figure(name, ms[NUMPY] / ms[OURS], FASTER, MUCH_FASTER))
         times[label] = {name: spread(values) for name, values in ms.items()}
-    figures += [histogram_figure(label, scene.sensor) for label, scene in SCENES.items()]
     for name, lack in lacks.items():
         if name in absent:
             rows.append([name, *[absent[name]] * len(SCENES), lack])
@@ -137,7 +90,7 @@ def measure(rounds: int = 30, batch: int = 8) -> Part:
     note = (
         f"Medians and 10–90 % over {rounds} rounds of {batch} frames. The chain: Poisson electrons, full well, read "
         "noise, gain, black level, one rounding, clips. Ours and numpy compute the same mean and draw from the same "
-        f"kind of generator. χ² tests take {SAMPLES} readings at each light level."
+        "kind of generator."
     )
     columns = ("simulator", *(f"ms, {label}" for label in SCENES), "lacks")
     return Part("Simulator against peers", figures, [Table("One frame of 240 × 240 px", columns, rows, note)], points)

@@ -29,19 +29,22 @@ def set_a(rng: np.random.Generator) -> np.ndarray:
 
 def mean_image(truth) -> np.ndarray:
     """Point-sampled elliptical Gaussian plus offset [SIDE, SIDE], in the unit of its amplitude."""
-    amplitude, x0, y0, major, minor, orientation, offset = truth
+    u, v = _distances(truth)
+    return truth[0] * np.exp(-(u * u + v * v) / 2) + truth[6]
+
+
+def _distances(truth) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the centre along the axes of the ellipse, over its widths."""
+    _, x0, y0, major, minor, orientation, _ = truth
     cos, sin = np.cos(orientation), np.sin(orientation)
-    u = ((X - x0) * cos + (Y - y0) * sin) / major
-    v = ((Y - y0) * cos - (X - x0) * sin) / minor
-    return amplitude * np.exp(-(u * u + v * v) / 2) + offset
+    return ((X - x0) * cos + (Y - y0) * sin) / major, ((Y - y0) * cos - (X - x0) * sin) / minor
 
 
 def slopes(truth) -> np.ndarray:
     """Derivatives [7, SIDE, SIDE] of `mean_image`."""
-    amplitude, x0, y0, major, minor, orientation, _ = truth
+    amplitude, _, _, major, minor, orientation, _ = truth
     cos, sin = np.cos(orientation), np.sin(orientation)
-    u = ((X - x0) * cos + (Y - y0) * sin) / major
-    v = ((Y - y0) * cos - (X - x0) * sin) / minor
+    u, v = _distances(truth)
     out = np.ones((7, SIDE, SIDE))
     out[0] = np.exp(-(u * u + v * v) / 2)
     light = amplitude * out[0]
@@ -106,9 +109,8 @@ def _summed_information(mean_e: float, sensor: SensorModel) -> float:
     gain, noise, black = sensor.gain_dn_per_e, sensor.read_noise_e, sensor.black_level_dn
     reach = 8 * np.sqrt(mean_e) + 10
     counts = np.arange(max(0, int(mean_e - reach)), int(mean_e + reach) + 1)
-    edges = np.arange(
-        np.floor(gain * (counts[0] - 8 * noise) + black) - 1, np.ceil(gain * (counts[-1] + 8 * noise) + black) + 2
-    )
+    lowest, highest = gain * (counts[0] - 8 * noise) + black, gain * (counts[-1] + 8 * noise) + black
+    edges = np.arange(np.floor(lowest) - 1, np.ceil(highest) + 2)
     below = ndtr((edges[None, :] - 0.5 - gain * counts[:, None] - black) / (gain * noise))
     given_count = np.diff(below, axis=1)
     probability = poisson.pmf(counts, mean_e) @ given_count
@@ -147,10 +149,8 @@ def start_of(image: np.ndarray) -> np.ndarray:
     spread = np.hypot((vxx - vyy) / 2, vxy)
     ratio = np.sqrt(((vxx + vyy) / 2 + spread) / ((vxx + vyy) / 2 - spread))
     variance = len(x) / (2 * np.pi * np.log(2))
-    orientation = np.arctan2(2 * vxy, vxx - vyy) / 2
-    return np.array(
-        [amplitude, x.mean(), y.mean(), np.sqrt(variance * ratio), np.sqrt(variance / ratio), orientation, offset]
-    )
+    widths, orientation = np.sqrt([variance * ratio, variance / ratio]), np.arctan2(2 * vxy, vxx - vyy) / 2
+    return np.array([amplitude, x.mean(), y.mean(), *widths, orientation, offset])
 
 
 def chunks(count: int, size: int) -> Iterator[int]:
