@@ -1,6 +1,5 @@
 """What tests share: a small run of the whole workflow, made once a session by whichever worker needs it first."""
 
-import csv
 import fcntl
 import os
 import shutil
@@ -8,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -34,17 +34,9 @@ def environment() -> dict[str, str]:
 
 def planned(output: str) -> dict[str, int]:
     """Rule → number of jobs, from the job statistics of a dry run."""
-    lines = output.splitlines()
-    if "Job stats:" not in output:
-        return {}
-    start = next(k for k, line in enumerate(lines) if line.startswith("Job stats:")) + 3
-    jobs: dict[str, int] = {}
-    for line in lines[start:]:
-        if not line.strip() or line.startswith("total"):
-            break
-        name, count = line.split()
-        jobs[name] = int(count)
-    return jobs
+    # Two lines of heading stand below the title, and the total ends the table.
+    rows = output.partition("Job stats:\n")[2].partition("\ntotal")[0].splitlines()[2:]
+    return {name: int(count) for name, count in map(str.split, rows)}
 
 
 def small_rig_dataset(folder: Path, angles=(0, 90), exposures=(1e-4, 5e-4, 9e-4), repeats=3) -> Path:
@@ -57,13 +49,11 @@ def small_rig_dataset(folder: Path, angles=(0, 90), exposures=(1e-4, 5e-4, 9e-4)
     (folder / "rig.yaml").write_text(yaml.safe_dump(settings))
     instrument = (default / "instrument.yaml").read_text().replace("crop_px: 240", "crop_px: 120")
     (folder / "instrument.yaml").write_text(instrument)
-    with (folder / "manifest.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["file", "kind", "angle_deg", "exposure_s", "repeat"])
-        for repeat in range(repeats):
-            for angle in angles:
-                for t in exposures:
-                    writer.writerow([f"frames/a{angle}_r{repeat}_t{t:g}.tif", "spot", angle, t, repeat])
+    rows = [
+        f"frames/a{angle}_r{repeat}_t{t:g}.tif,spot,{angle},{t},{repeat}\n"
+        for repeat, angle, t in product(range(repeats), angles, exposures)
+    ]
+    (folder / "manifest.csv").write_text("file,kind,angle_deg,exposure_s,repeat\n" + "".join(rows))
     return folder
 
 

@@ -102,10 +102,15 @@ START, END = "<!-- stages of the model: written by tests/draw_architecture.py --
 
 def with_stage_table(page: str) -> str:
     """Return the page with its table of the model's stages written anew."""
-    before, _, rest = page.partition(START)
-    after = rest.partition(END)[2]
-    assert after, f"architecture.md lacks {START} or {END}"
-    return before + START + stage_table() + END + after
+    return replace_between(page, START, END, stage_table())
+
+
+def replace_between(page: str, start: str, end: str, content: str) -> str:
+    """Return a page with other content between two marks."""
+    before, _, rest = page.partition(start)
+    after = rest.partition(end)[2]
+    assert after, f"the page lacks {start} or {end}"
+    return before + start + content + end + after
 
 
 def stage_table() -> str:

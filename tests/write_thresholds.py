@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from spotcheck.discrepancy import criteria
+from tests.draw_architecture import replace_between
 
 PAGE = Path(__file__).parents[1] / "workflow" / "docs" / "verdict.md"
 # Comments around the table in the page.
@@ -46,10 +47,7 @@ def threshold_table() -> str:
 
 def with_threshold_table(page: str) -> str:
     """Return the page with its table of thresholds written anew."""
-    before, _, rest = page.partition(START)
-    after = rest.partition(END)[2]
-    assert after, f"{PAGE.name} lacks {START} or {END}"
-    return before + START + threshold_table() + END + after
+    return replace_between(page, START, END, threshold_table())
 
 
 if __name__ == "__main__":

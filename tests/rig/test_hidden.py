@@ -152,36 +152,34 @@ def test_moments_are_those_of_the_draws(coarse, name):
 # Strength
 
 
+def plain_frame(kind):
+    """The first case of a single frame without a top hat and far above 0; with its frame and its effect."""
+    for seed in range(200):
+        case = hidden.draw_case(seed, kind, "single_frame")
+        if case.world.base.black_level > 25 and not case.world.base.top_hat:
+            return case, case.shots[0], case.truth["effects"][0]
+    raise AssertionError(kind)
+
+
 def test_strength_of_a_pedestal_is_that_of_a_dense_fit():
     # One frame, no top hat: width, peak and centre are fitted, the pedestal's own mean and variance remain.
-    case = next(
-        c
-        for c in (hidden.draw_case(seed, "one:dark_offset:strong", "single_frame") for seed in range(200))
-        if c.world.base.black_level > 25 and not c.world.base.top_hat
-    )
-    shot, base = case.shots[0], case.world.base
+    case, shot, effect = plain_frame("one:dark_offset:strong")
     _, variance = plain_moments(case, shot)
-    light, sigma = plain_light(case, shot), base.spread(500e-6) + base.laser_px
+    light = plain_light(case, shot)
     dx, dy = X - shot.x_px, Y - shot.y_px
     tangents = np.stack([light, light * (dx**2 + dy**2), light * dx, light * dy])
     window = np.s_[12:252, 12:252]
     root = 1 / np.sqrt(variance[window]).ravel()
     matrix = tangents[(slice(None), *window)].reshape(4, -1).T * root[:, None]
-    level = case.truth["effects"][0]["parameters"]["level"]
-    offset = level * root
+    offset = effect["parameters"]["level"] * root
     left = offset - matrix @ np.linalg.lstsq(matrix, offset, rcond=None)[0]
-    assert sigma > 0
-    assert case.truth["effects"][0]["snr"] == pytest.approx(np.linalg.norm(left), rel=0.02)
+    assert effect["snr"] == pytest.approx(np.linalg.norm(left), rel=0.02)
 
 
 def test_strength_of_flanks_is_that_of_a_nonlinear_fit():
-    case = next(
-        c
-        for c in (hidden.draw_case(seed, "one:super_gaussian:faint", "single_frame") for seed in range(200))
-        if c.world.base.black_level > 25 and not c.world.base.top_hat
-    )
-    shot, base = case.shots[0], case.world.base
-    sigma, n = base.spread(500e-6) + base.laser_px, case.truth["effects"][0]["parameters"]["n"]
+    case, shot, effect = plain_frame("one:super_gaussian:faint")
+    base, n = case.world.base, effect["parameters"]["n"]
+    sigma = base.spread(500e-6) + base.laser_px
     window = np.s_[12:252:2, 12:252:2]
     x, y = X[window], Y[window]
     rho2 = ((x - shot.x_px) ** 2 + (y - shot.y_px) ** 2) / sigma**2
@@ -193,7 +191,7 @@ def test_strength_of_flanks_is_that_of_a_nonlinear_fit():
         return ((truth - model) / deviation).ravel()
 
     fit = optimize.least_squares(misfit, [base.peak_dn, sigma, shot.x_px, shot.y_px], x_scale="jac")
-    assert case.truth["effects"][0]["snr"] == pytest.approx(2 * math.sqrt(2 * fit.cost), rel=0.03)
+    assert effect["snr"] == pytest.approx(2 * math.sqrt(2 * fit.cost), rel=0.03)
 
 
 def test_strength_of_scatter_is_the_log_likelihood_ratio():
@@ -207,10 +205,8 @@ def test_strength_of_scatter_is_the_log_likelihood_ratio():
 
 def test_excess_noise_and_power_have_their_analytic_strength():
     noise = hidden.draw_case(4, "one:excess_read_noise:mid", "single_frame")
-    _, variance = moments(
-        World(noise.world.base), World(noise.world.base).view(noise.shots[0], ALL[12:252], ALL[12:252])
-    )
     base = noise.world.base
+    _, variance = moments(World(base), World(base).view(noise.shots[0], ALL[12:252], ALL[12:252]))
     total = noise.truth["effects"][0]["parameters"]["total"]
     if base.black_level > 0:
         ratio = 1 + base.gain**2 * (total**2 - base.read_noise**2) / variance

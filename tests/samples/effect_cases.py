@@ -61,10 +61,7 @@ class Case(NamedTuple):
 
     def applied(self) -> AppliedEffect:
         """Return the effect in a model; what the variant lacks is NaN, so that nothing may depend on it."""
-        effect = vocabulary()[self.name]
-        variant = effect.variant_named(self.variant)
-        assert variant is not None and set(self.values) == {p.name for p in effect.parameters_of(variant)}
-        return AppliedEffect(effect, variant, tuple(float(self.values.get(p.name, np.nan)) for p in effect.parameters))
+        return vocabulary()[self.name].apply(self.values, self.variant)
 
     def changed(self, **values: float) -> "Case":
         """Return the case with other values."""
