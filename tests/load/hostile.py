@@ -148,7 +148,7 @@ def good_files() -> dict[str, list[bytes]]:
     tiffs = [
         *(tiff(small), tiff(byteorder=">"), tiff(bigtiff=True), tiff(tile=(16, 16)), tiff(rowsperstrip=5)),
         *(tiff(RAMP // 4, bitspersample=12), tiff(small, photometric="miniswhite")),
-        *(tiff(predictor=True, compression=8), *(tiff(**own) for own in packed)),
+        *(tiff(predictor=True, compression=8), *(tiff(**options) for options in packed)),
         tiff(compression="jpeg2000", compressionargs=lossless),
         *(tiff(stack), tiff(np.tile(stack, (40, 1, 1))[:, :4, :4].copy()), tiff(stack, imagej=True)),
         tiff(stack, metadata={"axes": "ZYX"}, contiguous=True, compression=None),

@@ -62,7 +62,7 @@ def of_frames(base: Path, counts: Sequence[int]) -> list[Row]:
         for stage, own in staged(folder, out).items():
             costs[stage].append(own)
         costs["planning"].append(cost(plan([folder], out)))
-        walls = ", ".join(f"{name} {own[-1].wall:.1f} s" for name, own in costs.items())
+        walls = ", ".join(f"{name} {runs[-1].wall:.1f} s" for name, runs in costs.items())
         print(f"{count} frames: {walls}", flush=True)
     return [Row(f"{stage}, {', '.join(f'{own:,}' for own in counts)} frames", len(counts), growth(counts, own))
             for stage, own in costs.items()]  # fmt: skip

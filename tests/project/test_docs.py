@@ -106,20 +106,25 @@ def test_check_readme_tells_and_mends(tmp_path, monkeypatch):
     )
 
 
+def run_blocks(page: Path) -> None:
+    """Run every block of code of a page, one after another; what it prints must be the block below it."""
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"```python\n(.*?)```\n(?:\n```text\n(.*?)```)?", text, re.DOTALL)
+    assert len(blocks) == text.count("```python") > 3
+    names: dict = {}
+    for code_of_block, wanted in blocks:
+        with redirect_stdout(printed := io.StringIO()):
+            exec(code_of_block, names)
+        assert printed.getvalue() == wanted, code_of_block
+
+
 def test_the_tutorial_runs(monkeypatch):
     """Every block of code, in the folder of the repository; what it prints is the block below it. A number in the last
     digit shown is far above what another processor changes."""
     monkeypatch.chdir(ROOT)
     matplotlib.use("agg")
-    text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```\n(?:\n```text\n(.*?)```)?", text, re.DOTALL)
-    assert len(blocks) == text.count("```python") > 3
-    names: dict = {}
     try:
-        for code_of_block, wanted in blocks:
-            with redirect_stdout(said := io.StringIO()):
-                exec(code_of_block, names)
-            assert said.getvalue() == wanted, code_of_block
+        run_blocks(DOCS / "tutorial.md")
         assert len(matplotlib.pyplot.get_fignums()) == 3
     finally:
         matplotlib.pyplot.close("all")
@@ -171,16 +176,6 @@ def test_photon_budgets():
     """A row for each choice."""
     rows = table(section(CONTRACT, "### The baseline model"), "value")
     assert {code(row[0]) for row in rows} == set(instrument_keys()["model.photon_budget"]["enum"])
-
-
-def nested(schema: dict) -> set[str]:
-    """Names of all keys below a part of a schema."""
-    out: set[str] = set()
-    for name, own in schema.get("properties", {}).items():
-        out |= {name} | nested(own)
-    for inner in (schema.get("items"), schema.get("additionalProperties")):
-        out |= nested(inner) if isinstance(inner, dict) else set()
-    return out
 
 
 GOOD = "frames/a.tif,spot,0,1e-4,0"

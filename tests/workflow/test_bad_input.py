@@ -1,6 +1,7 @@
 """Each bad input ends with a non-zero status and one sentence, no traceback, and earlier results stay as they were."""
 
 import hashlib
+import json
 import shutil
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import tifffile
 
 from spotcheck.cli import main
 from tests.conftest import snakemake
+from tests.discrepancy import test_bad_cases as bad_cases
 from tests.discrepancy.test_bad_cases import SHAPE, Case, spots, written
 
 
@@ -149,3 +151,22 @@ def test_a_black_and_a_saturated_frame_are_no_error(tmp_path):
     page = (tmp_path / "results" / folder.name / "report.html").read_text()
     assert "f0.tif" in page and "no light above the noise" in page
     assert "f11.tif" in page and "hardly a pixel of the crop reads below full scale" in page
+
+
+# Folders of frames that hold nothing to judge: the workflow ends well, and verdict and report say why.
+SATURATED = "none of 12 spot frames can be used (hardly a pixel of the crop reads below full scale)"
+NO_SPOT = "the manifest names no frame of kind spot"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "why"), [("saturated everywhere", SATURATED), ("flats and darks alone", NO_SPOT)])
+def test_nothing_to_judge(name, why, tmp_path):
+    """Exit status 0, `not_assessed`, and the reason in both places."""
+    where = {"dataset": written(bad_cases.CASES[name](), tmp_path), "results": tmp_path / "results"}
+    run = snakemake("--until", "report", config=where)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "Traceback" not in run.stdout + run.stderr
+    results = tmp_path / "results" / "set"
+    verdict = json.loads((results / "verdict.json").read_text(encoding="utf-8"))
+    assert verdict["status"] == "not_assessed" and why in verdict["sentence"]
+    assert why in (results / "report.html").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.material import FWHM_PER_SIGMA
-from rig.measure import CROP_PX, crop_at_maximum
+from rig.measure import crop_at_maximum
 from rig.settings import Settings
 
 TOP_HAT = math.exp(-0.25)
@@ -68,6 +68,3 @@ def calibrated_scale(
         scale = law.scale_dn * (maximum_dn - excess) / noise_free
         law = Law(law.p1, law.p2, law.laser_sigma_px, scale)
     return law
-
-
-__all__ = ["CROP_PX", "Law", "calibrated_scale", "laser_sigma_px", "simulate"]

@@ -83,17 +83,13 @@ def simulate_set(settings: Settings, seen: Measured, seed: int) -> Simulated:
 
 
 def _measure_all(crops: np.ndarray) -> dict[str, np.ndarray]:
-    tables = {name: np.empty(crops.shape[:-2]) for name in QUANTITIES}
+    values = np.empty((len(QUANTITIES), *crops.shape[:-2]))
     for cell in np.ndindex(*crops.shape[:-2]):
         crop = crops[cell].astype(float)
         fit = measure.fit_gaussian(crop)
-        tables["maximum"][cell] = crop.max()
-        tables["amplitude"][cell] = fit.amplitude
-        tables["sigma_px"][cell] = fit.sigma_px
-        tables["contrast"][cell] = measure.contrast(crop)
-        tables["sum"][cell] = crop.sum()
-        tables["peak_share"][cell] = measure.peak_share(crop)
-    return tables
+        shares = measure.contrast(crop), crop.sum(), measure.peak_share(crop)
+        values[:, *cell] = crop.max(), fit.amplitude, fit.sigma_px, *shares
+    return dict(zip(QUANTITIES, values, strict=True))
 
 
 def score(seen: Measured, simulated: Simulated) -> list[Score]:

@@ -191,7 +191,7 @@ def _build(cls: Any, tree: Any, where: str) -> Any:
     unknown = [str(key) for key in tree if key not in hints]
     if unknown:
         raise RigError(f"{where}{unknown[0]}: unknown key")
-    bounds = {own.name: own.metadata.get("bounds", (-math.inf, math.inf)) for own in dataclasses.fields(cls)}
+    bounds = {item.name: item.metadata.get("bounds", (-math.inf, math.inf)) for item in dataclasses.fields(cls)}
     values = {}
     for key, value in tree.items():
         kind = hints[key]

@@ -30,8 +30,8 @@ def random_truth(rng: np.random.Generator, gain: float) -> np.ndarray:
 
 
 def outcomes(seed: np.random.SeedSequence) -> np.ndarray:
-    """Status of the fit, and the largest error of a parameter in bounds (infinite without a root), of each spot of one
-    sensor [spot, 2]."""
+    """Return status and largest error of a parameter (in bounds, infinite if the fit failed) of each spot of a sensor
+    [spot, 2]."""
     rng = np.random.default_rng(seed)
     sensor = random_sensor(rng)
     found = []

@@ -1,9 +1,9 @@
 """Ten times the frames: time ten times, memory flat. Each run is a process of its own.
 
 `python -m tests.validation.benchmarks.growth fit|simulate COUNT` prints the processor time [s] of the work itself, and
-`… growth peak COMMAND …` what a command prints and its largest resident memory [MB]. Linux hands the memory of a
-process on to what it starts, as a lower limit of that one's own peak. So a benchmark that has loaded much starts this
-small process, and this one the command.
+`… growth peak COMMAND …` what a command prints and its largest resident memory [MB]. On Linux, the peak memory of a
+process is at least that of the process that started it. A benchmark that has loaded much therefore starts this small
+process, which starts the command.
 """
 
 import os

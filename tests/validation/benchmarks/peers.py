@@ -188,7 +188,7 @@ def _peer(name: str, package: str, kind: str, parameters: int, fit: Callable[...
 
 
 LEAST_SQUARES, LIKELIHOOD, MOMENTS = "least squares", "likelihood", "moments"
-# The schedules of picasso's own pipeline on a CPU, those of `fit_spots` if nothing is said, and tight ones.
+# Tolerances and largest numbers of steps: of picasso's pipeline on a CPU, of `fit_spots` by default, and tight ones.
 _PICASSO = (
     ("lsq", LEAST_SQUARES, "its CPU default, tolerance 1e-2", 1e-2, 200),
     ("lsq, tight", LEAST_SQUARES, "tolerance 1e-9", 1e-9, 200),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -56,20 +56,7 @@ class Base:
 
     def truth(self) -> dict[str, Any]:
         """As plain numbers for the truth file."""
-        return {
-            "p1": self.p1,
-            "p2": self.p2,
-            "laser_px": self.laser_px,
-            "sigma_px": [self.spread(t) + self.laser_px for t in self.exposures_s],
-            "peak_dn": self.peak_dn,
-            "top_hat": self.top_hat,
-            "photon_budget": self.photon_budget,
-            "gain": self.gain,
-            "read_noise": self.read_noise,
-            "dark_current": self.dark_current,
-            "black_level": self.black_level,
-            "bit_depth": self.bit_depth,
-        }
+        return asdict(self) | {"sigma_px": [self.spread(t) + self.laser_px for t in self.exposures_s]}
 
 
 def draw_base(

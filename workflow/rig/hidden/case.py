@@ -44,8 +44,19 @@ class Case:
 
 
 def draw_case(seed: int, kind: str, design: str = "default") -> Case:
-    """Draw a case of a kind: `none` or `one:<effect>:<level>`, of level faint, mid or strong. ValueError where the kind
-    or the design is none, or where the design cannot show the effect."""
+    """Draw a case.
+
+    Parameters
+    ----------
+    seed : seed of all random numbers.
+    kind : `none`, or `one:<effect>:<level>` with an effect of `EFFECTS` and a level faint, mid or strong.
+    design : name of a design in `DESIGNS`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind or design, or if the frames of the design cannot show the effect.
+    """
     if design not in DESIGNS:
         raise ValueError(f"no design {design!r}; there are {', '.join(DESIGNS)}")
     grid = DESIGNS[design]
@@ -89,13 +100,13 @@ def write(case: Case, folder: Path, truth: Path) -> None:
 
 
 def _generator(seed: int, kind: str, design: str, *key: int) -> np.random.Generator:
-    """The random numbers of one purpose of a case."""
+    """Return the generator of random numbers for one purpose, which `key` numbers."""
     root = [seed, zlib.crc32(kind.encode()), zlib.crc32(design.encode())]
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(root, spawn_key=key)))
 
 
 def _read_kind(kind: str, design: Design) -> tuple[str, str]:
-    """Name and level of the effect of a kind; both "" for `none`."""
+    """Return name and level of the effect of a kind; both are "" for `none`."""
     if kind == "none":
         return "", ""
     count, name, level, *_ = [*kind.split(":"), "", ""]
@@ -108,14 +119,14 @@ def _read_kind(kind: str, design: Design) -> tuple[str, str]:
 
 
 def _solved(judge: Judge, base: Base, effect: Effect, target: float) -> Effect:
-    """The effect with the strength that reaches a signal-to-noise."""
+    """Return the effect with the strength that reaches a target signal-to-noise."""
     strength = solve(lambda s: judge.snr(base, effect.at(s)), target, effect.span(base))
     # Six digits, so that the last bit of a sum (which may depend on the number of threads) decides nothing.
     return effect.at(float(f"{strength:.6g}"))
 
 
 def _target(rng: np.random.Generator, level: str) -> float:
-    """A signal-to-noise of a level."""
+    """Draw a signal-to-noise in the range of a level."""
     low, high = _RANGES[level]
     if level == "faint":
         return rng.uniform(low, high)

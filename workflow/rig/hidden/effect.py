@@ -30,6 +30,7 @@ class Effect:
     strength: float
 
     name: ClassVar[str]
+    parameter: ClassVar[str]  # the contract's name of the strength
     limits: ClassVar[tuple[float, float]]  # smallest and largest strength that makes physical sense
     scatters: ClassVar[bool] = False  # changes the scatter between frames or pixels, not their expectation
 
@@ -48,7 +49,7 @@ class Effect:
 
     def parameters(self) -> dict[str, float]:
         """The contract's parameters."""
-        return {}
+        return {self.parameter: self.strength}
 
     def form(self) -> dict[str, Any]:
         """What the contract leaves free."""
@@ -148,3 +149,6 @@ class Signed(Effect):
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, sign=float(rng.choice([-1.0, 1.0])))
+
+    def parameters(self) -> dict[str, float]:
+        return {self.parameter: self.sign * self.strength}

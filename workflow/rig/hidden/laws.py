@@ -42,14 +42,12 @@ class PhotonBudget(Signed):
 
     t_max: float = 1.0
     name = "photon_budget"
+    parameter = "q"
     limits = 1e-5, 1.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, sign=float(rng.choice([-1.0, 1.0])), t_max=max(base.exposures_s))
-
-    def parameters(self) -> dict[str, float]:
-        return {"q": self.sign * self.strength}
 
     def brightness(self, shot: Shot) -> float:
         return (shot.exposure_s / self.t_max) ** (self.sign * self.strength)
@@ -60,12 +58,10 @@ class ShutterOffset(Signed):
     """The true exposure is the nominal one plus a constant, for width, light, dark and motion; strength |s| [s]."""
 
     name = "shutter_offset"
+    parameter = "offset"
 
     def span(self, base: Base) -> tuple[float, float]:
         return 1e-5 * min(base.exposures_s), 0.5 * min(base.exposures_s)
-
-    def parameters(self) -> dict[str, float]:
-        return {"offset": self.sign * self.strength}
 
     def time(self, t: float) -> float:
         return t + self.sign * self.strength
@@ -81,6 +77,7 @@ class SpreadLaw(Effect):
     t_ref: float = 1.0  # [s]
     spread_ref: float = 1.0  # [px]
     name = "spread_law"
+    parameter = "exponent"
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
@@ -91,9 +88,6 @@ class SpreadLaw(Effect):
         # ASSUME: the widest spot stays within the crop, 42 px rms, and the narrowest above 8 px.
         largest = min(math.log(42.0 / self.spread_ref), math.log(self.spread_ref / 8.0))
         return 0.01, largest / math.log(max(base.exposures_s) / self.t_ref)
-
-    def parameters(self) -> dict[str, float]:
-        return {"exponent": self.strength}
 
     def form(self) -> dict[str, Any]:
         return {"t_ref_s": self.t_ref, "spread_ref_px": self.spread_ref}
@@ -115,15 +109,13 @@ class LaserDrift(Signed):
     frames: int = 2
     curvature: float = 0.0  # 0: linear; else 1 - exp(-curvature u), scaled to the same total
     name = "laser_drift"
+    parameter = "total"
     limits = 1e-5, 0.5
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         curvature = rng.uniform(1.0, 3.0) if rng.random() < 0.3 else 0.0
         return cls(0.0, sign=float(rng.choice([-1.0, 1.0])), frames=len(shots), curvature=curvature)
-
-    def parameters(self) -> dict[str, float]:
-        return {"total": self.sign * self.strength}
 
     def form(self) -> dict[str, Any]:
         return {"law": "settling" if self.curvature else "linear", "curvature": self.curvature}
@@ -143,15 +135,13 @@ class PowerFluctuation(Effect):
     seed: int = 0
     frames: int = 1
     name = "power_fluctuation"
+    parameter = "rms"
     limits = 1e-5, 0.2
     scatters = True
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, str(rng.choice(["gaussian", "uniform"])), int(rng.integers(2**63)), len(shots))
-
-    def parameters(self) -> dict[str, float]:
-        return {"rms": self.strength}
 
     def form(self) -> dict[str, Any]:
         return {"law": self.law}
@@ -171,15 +161,13 @@ class PointingJitter(Effect):
     seed: int = 0
     frames: int = 1
     name = "pointing_jitter"
+    parameter = "rms"
     limits = 1e-4, 3.0
     scatters = True
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         return cls(0.0, int(rng.integers(2**63)), len(shots))
-
-    def parameters(self) -> dict[str, float]:
-        return {"rms": self.strength}
 
     def shift(self, shot: Shot) -> tuple[float, float]:
         x, y = self.strength * scores(self.seed, 2 * self.frames, "gaussian").reshape(-1, 2)[shot.index]

@@ -205,6 +205,7 @@ class DarkOffset(_Pedestal):
     """A uniform pedestal; strength: level [DN]."""
 
     name = "dark_offset"
+    parameter = "level"
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
@@ -212,9 +213,6 @@ class DarkOffset(_Pedestal):
 
     def span(self, base: Base) -> tuple[float, float]:
         return 1e-5, 0.08 * base.full_scale
-
-    def parameters(self) -> dict[str, float]:
-        return {"level": self.strength}
 
     def pedestal(self, view: View) -> float:
         return self.strength

@@ -23,10 +23,8 @@ class Smear(Effect):
     """Every column's electrons spread evenly over all its rows, on top of what is there; strength: fraction [1]."""
 
     name = "smear"
+    parameter = "fraction"
     limits = 1e-6, 0.3
-
-    def parameters(self) -> dict[str, float]:
-        return {"fraction": self.strength}
 
     def electrons(self, electrons: Array, view: View) -> Array:
         # A thinned view holds every thin-th row of the lit part of the column.
@@ -121,10 +119,8 @@ class Nonlinearity(Signed):
     """y - q y^2 / full scale of the signal y without black level; strength |q| [1]."""
 
     name = "nonlinearity"
+    parameter = "q"
     limits = 1e-6, 0.3
-
-    def parameters(self) -> dict[str, float]:
-        return {"q": self.sign * self.strength}
 
     def signal(self, signal: Array, base: Base) -> Array:
         return signal - self.sign * self.strength / base.full_scale * signal**2
@@ -139,13 +135,11 @@ class RowNoise(Effect):
     """Whole rows scatter together, anew in every frame; strength: Gaussian rms [DN]."""
 
     name = "row_noise"
+    parameter = "rms"
     scatters = True
 
     def span(self, base: Base) -> tuple[float, float]:
         return 1e-4, 0.05 * base.full_scale
-
-    def parameters(self) -> dict[str, float]:
-        return {"rms": self.strength}
 
     def reading(self, reading: Array, view: View, rng: np.random.Generator) -> Array:
         reading += self.strength * rng.standard_normal((view.y.size, 1))
@@ -226,6 +220,7 @@ class BlackClipping(Effect):
 
     by: str = "subtraction"
     name = "black_clipping"
+    parameter = "threshold"
 
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
@@ -234,9 +229,6 @@ class BlackClipping(Effect):
     def span(self, base: Base) -> tuple[float, float]:
         # A dead zone below half a step is no more than the rounding.
         return (1e-3 if self.by == "subtraction" else 0.5), 0.2 * base.full_scale
-
-    def parameters(self) -> dict[str, float]:
-        return {"threshold": self.strength}
 
     def form(self) -> dict[str, Any]:
         return {"by": self.by}

@@ -33,7 +33,7 @@ def evidence(x: Array) -> Array:
 
 
 class Reference:
-    """A baseline without the effect, on a thinned grid of pixels, and how it answers to its own numbers.
+    """A baseline without the effect on a thinned grid of pixels, and derivatives of its readings by its parameters.
 
     Arrays are [site, exposure, y, x]; `mean` [DN], `variance` [DN^2], derivatives `d_log_peak`, `d_x`, `d_y` [DN/px].
     """
@@ -89,7 +89,7 @@ class Reference:
         return float((left**2 / self.variance + change).sum()) * self.thin**2
 
     def refitted(self, mean: Array) -> Array:
-        """What is left of `mean` - own mean after p1, p2, peak and centres took their share."""
+        """Return `mean` - `self.mean` without what p1, p2, peak and centres can explain."""
         root, local, shared = self._tangent
         left = ((mean - self.mean) * root).reshape(root.shape[0], -1)
         left = _without(left[:, None], local)[:, 0]

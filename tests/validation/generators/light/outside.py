@@ -23,8 +23,8 @@ def build(
     variance: Callable[[float], float] = lambda s: 1.0,
 ) -> Effect:
     """An effect whose only parameter is its strength in `unit`."""
-    told = {**form, "unit": unit, "stage": stage}
-    return Effect(lambda s: {"strength": s}, told, start, cap, floor=floor, stage=stage, hook=hook, variance=variance)
+    form = {**form, "unit": unit, "stage": stage}
+    return Effect(lambda s: {"strength": s}, form, start, cap, floor=floor, stage=stage, hook=hook, variance=variance)
 
 
 def normals(rng: Rng) -> Normals:

@@ -56,10 +56,10 @@ def named_alone(record: Record) -> frozenset[str]:
     return frozenset(out)
 
 
-def false_names(record: Record, known: set[str] | frozenset[str] = frozenset()) -> frozenset[str]:
-    """Effects in the verdict that were not put in; `known` are names that count as there."""
+def false_names(record: Record) -> frozenset[str]:
+    """Return the effects in the verdict that were not put in and that the unaltered light or frame does not get."""
     truth = names_put_in(record)
-    there = truth | known | {RIGHT_OUTSIDE[name] for name in truth & set(RIGHT_OUTSIDE)}
+    there = truth | {RIGHT_OUTSIDE[name] for name in truth & set(RIGHT_OUTSIDE)}
     there |= frozenset(record["truth"].get("allowed", ())) if record["truth"] else frozenset()
     there |= set(record.get("unaltered", ()))
     if not is_gaussian(record) or hidden_in_shape(record):
@@ -69,16 +69,16 @@ def false_names(record: Record, known: set[str] | frozenset[str] = frozenset()) 
     return frozenset(name for name in effect_names(record) if name not in there)
 
 
-def names_nothing_false(record: Record, known: set[str] | frozenset[str] = frozenset()) -> bool:
+def names_nothing_false(record: Record) -> bool:
     """Whether a converged verdict came in time and names nothing that was not put in."""
     if not record["verdict"] or record["verdict"]["status"] == "not_converged":
         return False
-    return record["cpu_seconds"] <= LIMIT_SECONDS and not false_names(record, known)
+    return record["cpu_seconds"] <= LIMIT_SECONDS and not false_names(record)
 
 
-def is_right(record: Record, known: set[str] | frozenset[str] = frozenset()) -> bool:
+def is_right(record: Record) -> bool:
     """Whether every effect is named as its only candidate and nothing else is, by a converged verdict in time."""
-    if not names_nothing_false(record, known):
+    if not names_nothing_false(record):
         return False
     wanted = names_put_in(record)
     if hidden_in_shape(record):

@@ -105,11 +105,11 @@ def share_row(name: str, found: Iterable[bool], required: float, at_most: bool =
 
 def frame_row(frames: Sequence[Record], what: str, least: int) -> Row:
     """Of the nine real frames with `what` put in, how many are right. Names that a frame has as it is are not false."""
-    plain = {record["truth"]["frame"]: set(effect_names(record)) for record in frames
-             if record["truth"] and not names_put_in(record)}  # fmt: skip
+    made = [record for record in frames if record["truth"]]
+    plain = {record["truth"]["frame"]: effect_names(record) for record in made if not names_put_in(record)}
     put = [record for record in frames if record["job"]["kind"].split(":")[1].startswith(what)]
-    right = sum(bool(record["truth"]) and is_right(record, plain.get(record["truth"]["frame"], set()))
-                for record in put)  # fmt: skip
+    known = [record | {"unaltered": plain.get(record["truth"]["frame"], [])} for record in put if record["truth"]]
+    right = sum(map(is_right, known))
     words, met = f"real frames, {what} put in", right >= least if len(put) == FRAMES else None
     return Row(words, f"{right} of {len(put)}", len(put), f"{least} of {FRAMES}", met)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -55,22 +55,6 @@ class Effect:
         return self.at(self.s)[key]
 
 
-class Shape(Protocol):
-    """The light's shape in u = (x − x₀)/σ, v = (y − y₀)/σ, in peaks of the Gaussian that fits it best; its name, its
-    highest value, and its rms off that Gaussian."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def top(self) -> float: ...
-
-    @property
-    def off(self) -> float: ...
-
-    def __call__(self, u: np.ndarray, v: np.ndarray) -> np.ndarray: ...
-
-
 @dataclass
 class Case:
     """Everything that a dataset is made of. Lengths in px, light and levels in DN, noise in electrons."""
@@ -89,7 +73,8 @@ class Case:
     peak: float  # DN, amplitude A at the longest exposure
     centres: np.ndarray  # px, (site, [x, y])
     effects: dict[str, Effect] = field(default_factory=dict)
-    shape: Shape | None = None  # a Gaussian if there is none
+    # The light's shape, as `light.beams.Beam` has it, in u = (x − x₀)/σ and v = (y − y₀)/σ; None for a Gaussian.
+    shape: Any = None
     full_well: float = np.inf  # e-
 
     @property
