@@ -16,16 +16,9 @@ FILES = sorted((ROOT / "workflow" / "rules").glob("*.smk"))
 
 def rules(path: Path) -> dict[str, list[str]]:
     """Rule → its blocks in the order in which they stand."""
-    found: dict[str, list[str]] = {}
-    own: list[str] = []
-    indent = ""
-    for line in path.read_text().splitlines():
-        if head := re.match(r"( *)rule ?(\w*):$", line):
-            indent, own = head[1], []
-            found[head[2]] = own
-        elif (block := re.match(r"( *)(\w+):", line)) and block[1] == indent + "    " and found:
-            own.append(block[2])
-    return found
+    parts = re.split(r"^( *)rule ?(\w*):\n", path.read_text(), flags=re.MULTILINE)[1:]
+    found = zip(parts[::3], parts[1::3], parts[2::3], strict=True)
+    return {name: re.findall(rf"^{indent}    (\w+):", text, re.MULTILINE) for indent, name, text in found}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
