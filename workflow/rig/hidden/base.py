@@ -56,7 +56,9 @@ class Base:
 
     def truth(self) -> dict[str, Any]:
         """As plain numbers for the truth file."""
-        return asdict(self) | {"sigma_px": [self.spread(t) + self.laser_px for t in self.exposures_s]}
+        values = asdict(self) | {"sigma_px": [self.spread(t) + self.laser_px for t in self.exposures_s]}
+        del values["exposures_s"]
+        return values
 
 
 def draw_base(
