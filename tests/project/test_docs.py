@@ -178,6 +178,16 @@ def test_photon_budgets():
     assert {code(row[0]) for row in rows} == set(instrument_keys()["model.photon_budget"]["enum"])
 
 
+def nested(schema: dict) -> set[str]:
+    """Names of all keys below a part of a schema."""
+    out: set[str] = set()
+    for name, own in schema.get("properties", {}).items():
+        out |= {name} | nested(own)
+    for inner in (schema.get("items"), schema.get("additionalProperties")):
+        out |= nested(inner) if isinstance(inner, dict) else set()
+    return out
+
+
 GOOD = "frames/a.tif,spot,0,1e-4,0"
 
 
