@@ -149,11 +149,34 @@ def _normal_hazard(a):
 
 
 @compiled
+def _clipped_information(a):
+    """Return the information on the mean of a standard normal number that is cut at a distance a above its mean.
+
+    It is that of the numbers below, and of the probability of being clipped.
+    """
+    pdf = math.exp(-a * a / 2) * INVERSE_SQRT_2PI
+    return max(0.5 * math.erfc(-a * INVERSE_SQRT_2) - pdf * (a - _normal_hazard(a)), 0.0)
+
+
+@compiled
+def _score_normal(residual, variance, a, is_clipped, direction):
+    """Return score [1/e-], information [1/e-²] and χ² of a normal reading, which is clipped or not.
+
+    `residual` is the reading less its mean [e-]. The clip is at a distance of `a` standard deviations from the mean, in
+    the `direction` 1 (above) or −1 (below). χ² is −1 next to a clip: the pixel then has no part in χ².
+    """
+    if a > FAR and not is_clipped:
+        return residual / variance, 1.0 / variance, residual * residual / variance
+    score = direction * _normal_hazard(a) / math.sqrt(variance) if is_clipped else residual / variance
+    return score, _clipped_information(a) / variance, -1.0
+
+
+@compiled
 def _score_bright(reading, electrons, law):
     """Return score [1/e-], information [1/e-²] and χ² of a reading [DN] with mean `electrons` above the faint table.
 
     The reading is Poisson, shifted by the variance of read noise and rounding; at full scale it is scored by the
-    probability of being clipped. χ² is −1 next to a clip: the pixel then has no part in χ².
+    probability of being clipped.
     """
     variance = electrons + law.read_variance + law.rounding_variance
     signal = (reading - law.black_level) / law.gain
@@ -162,17 +185,9 @@ def _score_bright(reading, electrons, law):
         law.read_variance + law.rounding_variance
     ):
         return _score_near_well(signal, electrons, law)
-    sd = math.sqrt(variance)
     # Distance of the mean from full scale in standard deviations.
-    a = ((law.full_scale - 0.5 - law.black_level) / law.gain - electrons) / sd
-    if a > FAR and reading < law.full_scale:
-        return residual / variance, 1.0 / variance, residual * residual / variance
-    hazard = _normal_hazard(a)
-    pdf = math.exp(-a * a / 2) * INVERSE_SQRT_2PI
-    # Information of a normal number that is cut at a: readings below, and the probability of being clipped.
-    information = (0.5 * math.erfc(-a * INVERSE_SQRT_2) - pdf * (a - hazard)) / variance
-    score = hazard / sd if reading >= law.full_scale else residual / variance
-    return score, max(information, 0.0), -1.0
+    a = ((law.full_scale - 0.5 - law.black_level) / law.gain - electrons) / math.sqrt(variance)
+    return _score_normal(residual, variance, a, reading >= law.full_scale, 1.0)
 
 
 @compiled
@@ -197,12 +212,11 @@ def _score_near_well(signal, electrons, law):
     slope = below * (signal - electrons) / total
     slope -= density * math.exp(-u * u / 2) * INVERSE_SQRT_2PI * (noise / total) / width
     slope += peak * math.exp(-w * w / 2) * INVERSE_SQRT_2PI / sd
-    pdf = math.exp(-w * w / 2) * INVERSE_SQRT_2PI
-    information = (0.5 * math.erfc(-w * INVERSE_SQRT_2) - pdf * (w - _normal_hazard(w))) / total
+    information = _clipped_information(w) / total
     # Both parts underflow far from the mean: the reading is then scored by the normal law.
     if below + at_well < 1e-280:
-        return (signal - electrons) / total, max(information, 0.0), -1.0
-    return slope / (below + at_well), max(information, 0.0), -1.0
+        return (signal - electrons) / total, information, -1.0
+    return slope / (below + at_well), information, -1.0
 
 
 @compiled
@@ -245,15 +259,11 @@ def _score_below_table(reading, electrons, law):
     The reading has read noise alone, and the probability of being clipped at 0.
     """
     variance = law.read_variance + law.rounding_variance
-    sd = math.sqrt(variance)
     residual = (reading - law.black_level) / law.gain - electrons
     # Distance of the mean from the clip in standard deviations.
-    a = (electrons + (law.black_level - 0.5) / law.gain) / sd
-    if a > FAR and reading > 0.0:
-        return residual / variance, 1.0 / variance, residual * residual / variance
-    hazard, pdf = _normal_hazard(a), math.exp(-a * a / 2) * INVERSE_SQRT_2PI
-    information = (0.5 * math.erfc(-a * INVERSE_SQRT_2) - pdf * (a - hazard)) / variance
-    return (-hazard / sd if reading <= 0.0 else residual / variance), max(information, LEAST_INFORMATION), -1.0
+    a = (electrons + (law.black_level - 0.5) / law.gain) / math.sqrt(variance)
+    score, information, chi2 = _score_normal(residual, variance, a, reading <= 0.0, -1.0)
+    return score, max(information, LEAST_INFORMATION), chi2
 
 
 @compiled
@@ -261,10 +271,8 @@ def compute_pixel_information(electrons, law):
     """Return the information [pixel] in 1/e-² of readings on their mean `electrons` [pixel]."""
     information = np.empty(electrons.size)
     for k in range(electrons.size):
-        if electrons[k] < law.highest_level:
-            _, information[k], _ = _score_faint(0.0, electrons[k], law)
-        else:
-            _, information[k], _ = _score_bright(law.black_level + law.gain * electrons[k], electrons[k], law)
+        reading = 0.0 if electrons[k] < law.highest_level else law.black_level + law.gain * electrons[k]
+        _, information[k], _ = _score_pixel(reading, electrons[k], law)
     return information
 
 
@@ -303,25 +311,6 @@ def _score_row_plain(readings, electrons, law, weight, score):
 
 
 @compiled
-def _score_row_mixed(readings, electrons, law, weight, score):
-    """As `score_row_by_likelihood`, for any other row without maps, pixel by pixel."""
-    total_chi2, used = 0.0, 0
-    for k in range(readings.size):
-        reading = float(readings[k])
-        if reading != reading:  # NaN
-            weight[k] = score[k] = 0.0
-            continue
-        if electrons[k] < law.highest_level:
-            score[k], weight[k], chi2 = _score_faint(reading, electrons[k], law)
-        else:
-            score[k], weight[k], chi2 = _score_bright(reading, electrons[k], law)
-        if chi2 >= 0.0:
-            total_chi2 += chi2
-            used += 1
-    return total_chi2, used
-
-
-@compiled
 def score_row_by_likelihood(readings, electrons, is_plain, row, maps, law, weight, score):
     """Fill `weight` with the information [1/e-²] and `score` [1/e-] of a row; return χ² and its number of pixels.
 
@@ -329,45 +318,55 @@ def score_row_by_likelihood(readings, electrons, is_plain, row, maps, law, weigh
     clip or in the faint table. `row` is the index of the row in the maps. `maps` is `law.maps`, passed by itself so
     that the compiler knows whether there are maps.
     """
-    if maps is None:
-        if is_plain:
-            return _score_row_plain(readings, electrons, law, weight, score)
-        return _score_row_mixed(readings, electrons, law, weight, score)
-    return _score_row_with_maps(readings, electrons, row, maps, law, weight, score)
-
-
-@compiled
-def _score_row_with_maps(readings, electrons, row, maps, law, weight, score):
-    """As `score_row_by_likelihood`, for pixels with individual offsets and gains.
-
-    The mean electrons of a pixel are its gain times `electrons`, which are those of a pixel with the gain 1; score and
-    information are on the latter. Errors of the maps count as noise.
-
-    # ASSUME: no reading is clipped at 0, as no map is made from darks that read 0.
-    """
+    if maps is None and is_plain:
+        return _score_row_plain(readings, electrons, law, weight, score)
     total_chi2, used = 0.0, 0
     for k in range(readings.size):
         reading = float(readings[k])
         if reading != reading:  # NaN
             weight[k] = score[k] = 0.0
             continue
-        gain, offset = maps.gains[row, k], maps.offsets[row, k]
-        mean_e = gain * electrons[k]
-        gain_noise = maps.gain_variance * mean_e * mean_e
-        if mean_e < maps.fine.highest_level:
-            signal = (reading - law.black_level - offset) / law.gain
-            pixel_score, information, chi2 = _score_faint_between(signal, mean_e, maps.fine)
-            # The variance 1/information of the signal grows by that of the gain.
-            share = 1 / (1 + gain_noise * information)
-            pixel_score, information, chi2 = share * pixel_score, share * information, share * chi2
+        if maps is None:
+            score[k], weight[k], chi2 = _score_pixel(reading, electrons[k], law)
         else:
-            pixel_law = _shift_law(law, offset, maps.offset_variance + gain_noise)
-            pixel_score, information, chi2 = _score_bright(reading, mean_e, pixel_law)
-        score[k], weight[k] = gain * pixel_score, gain * gain * information
+            gain, offset = maps.gains[row, k], maps.offsets[row, k]
+            score[k], weight[k], chi2 = _score_mapped_pixel(reading, electrons[k], gain, offset, maps, law)
         if chi2 >= 0.0:
             total_chi2 += chi2
             used += 1
     return total_chi2, used
+
+
+@compiled
+def _score_pixel(reading, electrons, law):
+    """Return score [1/e-], information [1/e-²] and χ² (−1 next to a clip) of a reading [DN] of mean `electrons`."""
+    if electrons < law.highest_level:
+        return _score_faint(reading, electrons, law)
+    return _score_bright(reading, electrons, law)
+
+
+@compiled
+def _score_mapped_pixel(reading, electrons, gain, offset, maps, law):
+    """Return the same as `_score_pixel` for a pixel with a relative gain and an offset [DN] of its own.
+
+    The mean electrons of the pixel are its gain times `electrons`, which are those of a pixel with the gain 1; score
+    and information are on the latter. Errors of the maps count as noise.
+
+    # ASSUME: no reading is clipped at 0, as no map is made from darks that read 0.
+    """
+    mean_e = gain * electrons
+    gain_noise = maps.gain_variance * mean_e * mean_e
+    if mean_e < maps.fine.highest_level:
+        signal = (reading - law.black_level - offset) / law.gain
+        score, information, chi2 = _score_faint_between(signal, mean_e, maps.fine)
+        # The variance 1/information of the signal grows by that of the gain.
+        share = 1 / (1 + gain_noise * information)
+        score, information, chi2 = share * score, share * information, share * chi2
+    else:
+        score, information, chi2 = _score_bright(
+            reading, mean_e, _shift_law(law, offset, maps.offset_variance + gain_noise)
+        )
+    return gain * score, gain * gain * information, chi2
 
 
 @compiled

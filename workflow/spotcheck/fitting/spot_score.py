@@ -88,21 +88,18 @@ def _sum_powers(gaussian, weight, score, x0):
 
 @compiled
 def _sum_plateau(gaussian, weight, score):
-    """Return Σ w g², Σ w g, Σ s g, Σ w and Σ s over the plateau of a top hat in a row, and set w and s to 0 there.
+    """Return Σ w and Σ s over the plateau of a top hat in a row, and set w and s to 0 there.
 
     On the plateau g is `TOP_HAT_LEVEL`. Its light depends on the amplitude alone, so that its pixels have no part in
     the sums over powers of dx and dy.
     """
-    sum_wgg = sum_wg = sum_sg = sum_w = sum_s = 0.0
+    sum_w = sum_s = 0.0
     for k in range(gaussian.size):
         if gaussian[k] > TOP_HAT_LEVEL:
-            sum_wgg += weight[k] * TOP_HAT_LEVEL**2
-            sum_wg += weight[k] * TOP_HAT_LEVEL
-            sum_sg += score[k] * TOP_HAT_LEVEL
             sum_w += weight[k]
             sum_s += score[k]
             weight[k] = score[k] = 0.0
-    return sum_wgg, sum_wg, sum_sg, sum_w, sum_s
+    return sum_w, sum_s
 
 
 @compiled
@@ -137,10 +134,10 @@ def _sum_pixels(image, theta, weighting, law, top_hat):
             row_chi2, row_used = score_row_by_likelihood(image[j], electrons, is_plain, j, law.maps, law, weight, score)
         chi2, used = chi2 + row_chi2, used + row_used
         if top_hat:
-            plateau_wgg, plateau_wg, plateau_sg, plateau_w, plateau_s = _sum_plateau(gaussian, weight, score)
-            sum_wgg[0, 0] += plateau_wgg
-            sum_wg[0, 0] += plateau_wg
-            sum_sg[0, 0] += plateau_sg
+            plateau_w, plateau_s = _sum_plateau(gaussian, weight, score)
+            sum_wgg[0, 0] += plateau_w * TOP_HAT_LEVEL**2
+            sum_wg[0, 0] += plateau_w * TOP_HAT_LEVEL
+            sum_sg[0, 0] += plateau_s * TOP_HAT_LEVEL
             sum_w, sum_s = sum_w + plateau_w, sum_s + plateau_s
         row_wgg, row_wg, row_w, row_sg, row_s = _sum_powers(gaussian, weight, score, theta[1])
         sum_w, sum_s = sum_w + row_w, sum_s + row_s
