@@ -194,6 +194,11 @@ def _fit_all_frames(
         Dimensions of the grid that distinguish sites.
     """
     light_crops, light_fits = crops.sel(centring="light"), select_preferred_fits(fits)
+
+    def read_pixels(index: dict[str, int]) -> np.ndarray:
+        """Return a crop [row, column] in DN; it is read from disk each time, so that memory never holds all."""
+        return light_crops["image"].isel(index).values
+
     frames: list[SiteFrame] = []
     centres: list[tuple[float, float]] = []
     for site in iterate_cells(crops, site_dims):
@@ -203,16 +208,11 @@ def _fit_all_frames(
         for k in fitted_exposures:
             index = site | {"exposure": k}
             left, top = (int(light_crops[name].isel(index)) for name in ("left", "top"))
-            exposure_s, read_pixels = float(crops["exposure"][k]), partial(_read_pixels, light_crops, index)
-            frames.append(SiteFrame(len(centres), exposure_s, left, top, read_pixels))
+            exposure_s = float(crops["exposure"][k])
+            frames.append(SiteFrame(len(centres), exposure_s, left, top, partial(read_pixels, index)))
         if fitted_exposures:
             centres.append((x[fitted_exposures[-1]], y[fitted_exposures[-1]]))
     return fit_baseline(frames, model, sensor, np.array(law), np.array(centres))
-
-
-def _read_pixels(crops: xr.Dataset, index: dict[str, int]) -> np.ndarray:
-    """Return the crop [row, column] in DN at one index of the grid."""
-    return crops["image"].isel(index).values
 
 
 def _add_biases(

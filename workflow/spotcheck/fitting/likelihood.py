@@ -52,31 +52,6 @@ class JointFit(NamedTuple):
     has_converged: bool  # whether the root of the score was reached
 
 
-@dataclass(frozen=True, eq=False)
-class _NormalEquations:
-    """Score and Fisher information of the law's parameters (p1, p2, peak) and of the sites' centres by all frames."""
-
-    score: np.ndarray  # score of the law's parameters [3]
-    centre_score: np.ndarray  # score of the centres [site, (x, y)]
-    information: np.ndarray  # Fisher information of the law's parameters [3, 3]
-    cross_information: np.ndarray  # information between the law's parameters and the centres [site, 3, 2]
-    centre_information: np.ndarray  # information of the centres [site, 2, 2]
-    misfit: float  # χ² per pixel
-
-    def eliminate_centres(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Schur complement S [3, 3] and the weights W [site, 3, 2] of the centres.
-
-        With the blocks I, C, D of law, cross and centre information, W = C D⁻¹ and S = I − W Cᵀ, summed over sites. S
-        is the information on the law with unknown centres.
-        """
-        weight = np.einsum("sij,sjk->sik", self.cross_information, np.linalg.inv(self.centre_information))
-        return self.information - np.einsum("sij,skj->ik", weight, self.cross_information), weight
-
-    def compute_slope(self, steps: tuple[np.ndarray, np.ndarray]) -> float:
-        """Return the derivative of the log-likelihood along steps of the law [3] and of the centres [site, 2]."""
-        return float(self.score @ steps[0] + np.sum(self.centre_score * steps[1]))
-
-
 def fit_baseline(
     frames: Sequence[SiteFrame], baseline: Baseline, sensor: SensorModel, start: np.ndarray, centres: np.ndarray
 ) -> JointFit:
@@ -98,33 +73,38 @@ def fit_baseline(
     """
     law, centres = np.array(start, float), np.array(centres, float)
     failure = JointFit(law, np.full(3, np.nan), centres, False)
-    shrink, previous_steps, previous_decrement = 1.0, None, 0.0
+    shrink, previous_step, previous_decrement = 1.0, None, 0.0
     for _ in range(MAX_ITERATIONS):
-        equations = _sum_frames(frames, baseline, sensor, law, centres)
-        schur, weight = equations.eliminate_centres()
+        score, information, misfit = _sum_frames(frames, baseline, sensor, law, centres)
+        cross_information, centre_information = information[:, :3, 3:], information[:, 3:, 3:]
+        # Schur complement: the information on the law with unknown centres.
+        weight = cross_information @ np.linalg.inv(centre_information)
+        schur = (information[:, :3, :3] - weight @ cross_information.transpose(0, 2, 1)).sum(axis=0)
         if not np.isfinite(schur).all() or np.linalg.matrix_rank(schur, hermitian=True) < 3:
             return failure
-        law_step = np.linalg.solve(schur, equations.score - np.einsum("sij,sj->i", weight, equations.centre_score))
+        law_step = np.linalg.solve(schur, score[:, :3].sum(axis=0) - np.einsum("sij,sj->i", weight, score[:, 3:]))
         # The score of the centres after the step of the law.
-        remaining_score = equations.centre_score - np.einsum("sij,i->sj", equations.cross_information, law_step)
-        steps = law_step, np.linalg.solve(equations.centre_information, remaining_score[..., None])[..., 0]
+        remaining_score = score[:, 3:] - np.einsum("sij,i->sj", cross_information, law_step)
+        centre_step = np.linalg.solve(centre_information, remaining_score[..., None])[..., 0]
+        # Step of p1, p2, peak, x0, y0 [site, 5]; the law is common to all sites.
+        step = np.hstack([np.tile(law_step, (len(centres), 1)), centre_step])
         # Twice the gain in ln L that a full step promises: the squared distance to the root in standard errors.
-        decrement = equations.compute_slope(steps)
-        if previous_steps is not None:
+        decrement = np.sum(score * step)
+        if previous_step is not None:
             # Far from the root full steps overshoot; the slope that is left along the last step measures by how much.
-            slope = equations.compute_slope(previous_steps)
+            slope = np.sum(score * previous_step)
             shrink = shrink * previous_decrement / (previous_decrement - slope) if slope < previous_decrement else 1.0
             shrink = min(max(shrink, LEAST_SHRINK), 1.0)
-        is_converged = decrement < CONVERGED_DECREMENT * max(equations.misfit, 1.0)
+        is_converged = decrement < CONVERGED_DECREMENT * max(misfit, 1.0)
         length = 1.0 if is_converged else shrink
         while not _is_valid(baseline, frames, law + length * law_step):
             length /= 2
             if length < SHORTEST_STEP:
                 return failure
-        law, centres = law + length * law_step, centres + length * steps[1]
+        law, centres = law + length * law_step, centres + length * centre_step
         if is_converged:
             return JointFit(law, np.sqrt(np.diag(np.linalg.inv(schur))), centres, True)
-        shrink, previous_steps, previous_decrement = length, steps, decrement
+        shrink, previous_step, previous_decrement = length, step, decrement
     return failure
 
 
@@ -136,12 +116,14 @@ def _is_valid(baseline: Baseline, frames: Sequence[SiteFrame], law: np.ndarray) 
 
 def _sum_frames(
     frames: Sequence[SiteFrame], baseline: Baseline, sensor: SensorModel, law: np.ndarray, centres: np.ndarray
-) -> _NormalEquations:
-    """Return the normal equations at a law (p1, p2, peak) and centres on the sensor [site, (x, y)] in px."""
-    sites, reading_law = len(centres), build_reading_law(sensor)
-    score, information = np.zeros(3), np.zeros((3, 3))
-    centre_score, centre_information = np.zeros((sites, 2)), np.zeros((sites, 2, 2))
-    cross_information = np.zeros((sites, 3, 2))
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return score and Fisher information of the frames of each site, and χ² per pixel of all frames.
+
+    They are taken at a law (p1, p2, peak) and at centres on the sensor [site, (x, y)] in px. The score [site, 5] and
+    the information [site, 5, 5] are those of p1, p2, peak, x0 and y0.
+    """
+    reading_law = build_reading_law(sensor)
+    score, information = np.zeros((len(centres), 5)), np.zeros((len(centres), 5, 5))
     chi2 = pixels = 0.0
     for frame in frames:
 
@@ -161,12 +143,7 @@ def _sum_frames(
         slopes[0, :3], slopes[3, :3] = jacobian(spot_in_pixels, law).T
         slopes[5, :3] = slopes[3, :3]
         slopes[1, 3] = slopes[2, 4] = 1.0
-        frame_score, matrix = slopes.T @ theta_score, slopes.T @ matrix @ slopes
-        score += frame_score[:3]
-        information += matrix[:3, :3]
-        centre_score[frame.site] += frame_score[3:]
-        cross_information[frame.site] += matrix[:3, 3:]
-        centre_information[frame.site] += matrix[3:, 3:]
+        score[frame.site] += slopes.T @ theta_score
+        information[frame.site] += slopes.T @ matrix @ slopes
         chi2, pixels = chi2 + frame_chi2, pixels + used
-    misfit = chi2 / max(pixels, 1)
-    return _NormalEquations(score, centre_score, information, cross_information, centre_information, misfit)
+    return score, information, chi2 / max(pixels, 1)
