@@ -15,7 +15,7 @@ from spotcheck.fitting.variables import add_variable
 from spotcheck.fitting.width_law import WidthLaw
 from spotcheck.io import progress
 from spotcheck.model import spot
-from spotcheck.model.baseline import Baseline, build_baseline
+from spotcheck.model.baseline import Baseline, build_baseline, jacobian
 from spotcheck.sensor import SensorModel
 from spotcheck.sensor.model import mean_signal
 
@@ -63,17 +63,17 @@ def compute_peak_bounds(
         photons = spot.circular_gaussian(pixel[None, :], pixel[:, None], peak, 0.0, 0.0, sigma)
         return mean_signal(photons, dark_e, 1.0, sensor.quantum_efficiency)
 
+    mean = np.maximum(mean_e(peak_photons, sigma_px), LEAST_MEAN_E)
+    slopes = jacobian(mean_e, (peak_photons, sigma_px))
+    poisson_information = fisher.poisson_information(mean)
     # Information of a pixel on its mean electrons [1/e-²], in the order of `DENSITIES`. The paper takes the mean in DN
     # for the mean of a Poisson distribution, which gives K times the information.
-    pixel_informations = (
-        lambda mean: fisher.read_noise_information(np.maximum(mean, LEAST_MEAN_E), sensor.read_noise_e),
-        lambda mean: fisher.poisson_information(np.maximum(mean, LEAST_MEAN_E)),
-        lambda mean: sensor.gain_dn_per_e * fisher.poisson_information(np.maximum(mean, LEAST_MEAN_E)),
+    informations = (
+        fisher.read_noise_information(mean, sensor.read_noise_e),
+        poisson_information,
+        sensor.gain_dn_per_e * poisson_information,
     )
-    matrices = (
-        fisher.information_of_mean(mean_e, (peak_photons, sigma_px), information) for information in pixel_informations
-    )
-    return np.array([fisher.cramer_rao_bounds(matrix) for matrix in matrices])
+    return np.array([fisher.cramer_rao_bounds(fisher.information(slopes, values)) for values in informations])
 
 
 def compute_bounds(
@@ -105,23 +105,18 @@ def compute_bounds(
     baseline = build_baseline(instrument, exposures)
     curve_exposures, median_exposure = sample_exposures(baseline, law, exposures), float(np.median(exposures))
     dn_per_photon = sensor.gain_dn_per_e * sensor.quantum_efficiency
-
-    def spot_at(exposure_s: float) -> tuple[float, float]:
-        """Return the photons on the brightest pixel, and σ_g [px]."""
-        peak, sigma = law.spot_at(baseline, exposure_s)
-        return float(peak / dn_per_photon), float(sigma)
-
-    spots = [spot_at(t) for t in curve_exposures]
-    median_photons, median_sigma = spot_at(median_exposure)
-    photons = median_photons * np.logspace(-PHOTON_DECADES / 2, PHOTON_DECADES / 2, POINTS)
+    peaks, sigmas = law.spot_at(baseline, curve_exposures)
+    peak_photons = peaks / dn_per_photon
+    median_peak, median_sigma = law.spot_at(baseline, median_exposure)
+    photons = median_peak / dn_per_photon * np.logspace(-PHOTON_DECADES / 2, PHOTON_DECADES / 2, POINTS)
     add_variable(
         ds, "law", "law", np.array([*DENSITIES], dtype=object), "1", "density of a reading under which the bound holds"
     )
     add_variable(ds, "fine_exposure", "fine_exposure", curve_exposures, "s", "exposure time")
     add_variable(ds, "photons", "photons", photons, "1", "photons on the brightest pixel")
     # Photons, σ_g [px] and exposure time [s] of the points of both curves.
-    points = [(*values, float(t)) for values, t in zip(spots, curve_exposures, strict=True)]
-    points += [(float(n), median_sigma, median_exposure) for n in photons]
+    points = [*zip(peak_photons, sigmas, curve_exposures, strict=True)]
+    points += [(n, median_sigma, median_exposure) for n in photons]
     variances = np.array(
         [compute_peak_bounds(n, sigma, t, sensor, side) for n, sigma, t in progress.track(points, "computing bounds")]
     )
@@ -132,7 +127,7 @@ def compute_bounds(
             name = f"var_{parameter}_over_{suffix}"
             add_variable(ds, name, (dim, "law"), values[..., k], units, f"bound on the variance of {symbol}")
     long_name = "photons on the brightest pixel at each exposure"
-    add_variable(ds, "peak_photons", "fine_exposure", np.array([n for n, _ in spots]), "1", long_name)
+    add_variable(ds, "peak_photons", "fine_exposure", peak_photons, "1", long_name)
     add_variable(ds, "pixel_pitch", (), instrument.sensor.pixel_pitch_m or np.nan, "m", "pixel pitch")
     return ds.assign_attrs({f"law_{name}": text for name, text in DENSITIES.items()})
 

@@ -158,22 +158,17 @@ def _check_chi2(chi2: np.ndarray) -> list[str]:
     """Return remarks on fits whose χ² per degree of freedom is far from 1; `chi2` has any shape, NaN without a fit."""
     known = chi2[np.isfinite(chi2)]
     keys = "sensor.gain_dn_per_e or sensor.read_noise_e"
-    # Values outside either limit, and the cause that they suggest.
-    causes = (
-        (
-            known[known < TOO_LOW],
-            f"the noise that is stated is too large: {keys} is too high or in another unit, or sensor.black_level_dn is"
-            " missing or too low",
-        ),
-        (
-            known[known > TOO_HIGH],
-            f"the light is far from a Gaussian, as the verdict tells, or {keys} is too low or in another unit",
-        ),
-    )
+    # Cause that a χ² outside either limit suggests, and the values there.
+    too_large = f"the noise that is stated is too large: {keys} is too high or in another unit, or"
+    too_small = f"the light is far from a Gaussian, as the verdict tells, or {keys} is too low or in another unit"
+    causes = {
+        f"{too_large} sensor.black_level_dn is missing or too low": known[known < TOO_LOW],
+        too_small: known[known > TOO_HIGH],
+    }
     return [
         f"{values.size} of {known.size} fits have a χ² per degree of freedom of about"
         f" {two_digits(float(np.median(values)))}: {cause}"
-        for values, cause in causes
+        for cause, values in causes.items()
         if values.size
     ]
 

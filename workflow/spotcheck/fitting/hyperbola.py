@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, stats
 
+from spotcheck.model.baseline import jacobian
+
 # Coefficients of the hyperbola.
 COEFFICIENTS = 3
 # Confidence level of the intervals of the file and the figure.
@@ -98,26 +100,19 @@ def derive_beam_parameters(fit: Hyperbola, wavelength_m: float) -> tuple[np.ndar
 
     With D = 4ac − b²: w0² = D/(4c), z0 = −b/(2c), θ = √c, z_R = √D/(2c), M² = π w0 θ/λ = π √D/(2λ).
     """
+
+    def derive(a, b, c):
+        """Return the values [5]."""
+        root, theta = np.sqrt(4 * a * c - b * b), np.sqrt(c)
+        waist_position = fit.origin - b / (2 * c)
+        return np.array([root / (2 * theta), waist_position, theta, root / (2 * c), np.pi * root / (2 * wavelength_m)])
+
     a, b, c = fit.coefficients
-    discriminant = 4 * a * c - b * b
-    if not (c > 0 and discriminant > 0):
+    if not (c > 0 and 4 * a * c - b * b > 0):
         return np.full(len(QUANTITIES), np.nan), np.full((len(QUANTITIES),) * 2, np.nan)
-    root = np.sqrt(discriminant)
-    waist, theta, rayleigh = root / (2 * np.sqrt(c)), np.sqrt(c), root / (2 * c)
-    m2 = np.pi * root / (2 * wavelength_m)
-    values = np.array([waist, fit.origin - b / (2 * c), theta, rayleigh, m2])
-    root_slopes = np.array([2 * c, -b, 2 * a]) / root  # d√D / d(a, b, c)
-    c_slopes = np.array([0.0, 0.0, 1.0])  # dc / d(a, b, c)
-    slopes = np.array(  # d values / d(a, b, c)
-        [
-            root_slopes / (2 * np.sqrt(c)) - waist / (2 * c) * c_slopes,
-            [0.0, -1 / (2 * c), b / (2 * c * c)],
-            c_slopes / (2 * theta),
-            root_slopes / (2 * c) - rayleigh / c * c_slopes,
-            np.pi * root_slopes / (2 * wavelength_m),
-        ]
-    )
-    return values, slopes @ fit.covariance @ slopes.T
+    # Derivatives of the values by a, b, c [coefficient, value].
+    slopes = jacobian(derive, fit.coefficients)
+    return derive(a, b, c), slopes.T @ fit.covariance @ slopes
 
 
 def compute_interval_half_width(stderr: np.ndarray, degrees: int) -> np.ndarray:

@@ -82,6 +82,11 @@ class Moments:
         return bool(self.major_stderr < limit * self.major and self.minor_stderr < limit * self.minor)
 
     @property
+    def mean_width(self) -> tuple[float, float]:
+        """Mean of both widths and its standard error [px]."""
+        return (self.major + self.minor) / 2, float(np.hypot(self.major_stderr, self.minor_stderr)) / 2
+
+    @property
     def is_whole(self) -> bool:
         """Whether the frame contains the area that the standard integrates over."""
         return self.area_fraction >= WHOLE_AREA

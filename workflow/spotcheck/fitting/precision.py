@@ -121,15 +121,14 @@ def _compare_scatter(fits: xr.Dataset) -> dict[str, xr.DataArray]:
         `scatter`, `bound`, `ratio`, `ratio_stderr` [parameter, grid without repeat] and `frames` [grid without repeat],
         the number of usable frames. All but `frames` are NaN with fewer than two frames.
     """
+    fits = fits.drop_vars(["fit", "centring"], errors="ignore")
     is_trusted = (fits["status"] & store.UNTRUSTED) == 0
+    names = xr.Variable("parameter", np.array(SCATTERED, object), {"units": "1", "long_name": "fitted parameter"})
     value, stderr = (
-        xr.concat([fits[f"{name}{suffix}"].where(is_trusted) for name in SCATTERED], dim="parameter", coords="minimal")
+        xr.concat([fits[f"{name}{suffix}"].where(is_trusted) for name in SCATTERED], names, coords="minimal")
         for suffix in ("", "_stderr")
     )
-    names = {"parameter": ("parameter", np.array(SCATTERED, dtype=object))}
-    value, stderr = (v.drop_vars(["fit", "centring"], errors="ignore").assign_coords(names) for v in (value, stderr))
-    value["parameter"].attrs.update(units="1", long_name="fitted parameter")
-    count = is_trusted.sum("repeat").drop_vars(["fit", "centring"], errors="ignore")
+    count = is_trusted.sum("repeat")
     scatter = value.std("repeat", ddof=1).where(count > 1)
     bound = ((stderr**2).mean("repeat") ** 0.5).where(count > 1)
     ratio = scatter / bound
@@ -202,13 +201,11 @@ def summarize_precision(ds: xr.Dataset) -> str:
         if np.isfinite(ratio) and error > 0:
             # Two significant digits of the error.
             digits = max(0, 1 - int(np.floor(np.log10(error))))
-            conclusion = ""
+            text = f"{source} widths scatter over repeats by {ratio:.{digits}f} ± {error:.{digits}f} bounds"
             if source == "measured":
                 exceeds = ratio > 1 + EXCESS_SIGMAS * error and ratio > EXCESS_RATIO
-                conclusion = ": what differs between repeats limits, not noise" if exceeds else ": noise limits"
-            clauses.append(
-                f"{source} widths scatter over repeats by {ratio:.{digits}f} ± {error:.{digits}f} bounds{conclusion}"
-            )
+                text += ": what differs between repeats limits, not noise" if exceeds else ": noise limits"
+            clauses.append(text)
     text = "; ".join(clauses)
     return f"{text[0].upper()}{text[1:]}." if text else "No condition has two usable repeats."
 

@@ -17,16 +17,9 @@ import xarray as xr
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.beam_axes import BeamAxes, SpotWidths, fit_beam_axes, project_widths
 from spotcheck.fitting.beam_quality import describe_impossible_m2, list_low_axes
-from spotcheck.fitting.caustic import FEWEST_POSITIONS
+from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, fit_caustic
 from spotcheck.fitting.crop_fits import select_preferred_fits
-from spotcheck.fitting.hyperbola import (
-    COEFFICIENTS,
-    LEVEL,
-    QUANTITIES,
-    Hyperbola,
-    derive_beam_parameters,
-    fit_hyperbola,
-)
+from spotcheck.fitting.hyperbola import COEFFICIENTS, LEVEL, QUANTITIES, Hyperbola
 from spotcheck.fitting.scan_widths import (
     MomentsByCell,
     ScanWidths,
@@ -100,28 +93,25 @@ def compute_caustic(fits: xr.Dataset, instrument: Instrument, moments: MomentsBy
     if moments is not None:
         widths[MOMENTS] = collect_moment_widths(moments, status.shape)
         is_gaussian = not has_wings(moments, widths[FIT], (status.values & store.flag("clipped")) != 0)
-    order = (FIT, MOMENTS) if is_gaussian else (MOMENTS, FIT)
-    tables, reasons = list[xr.Dataset](), dict[str, str]()
-    for estimator in (estimator for estimator in order if estimator in widths):
+    tables, reasons = dict[str, xr.Dataset](), list[str]()
+    # The estimator to quote comes first.
+    for estimator in (FIT, MOMENTS) if is_gaussian else (MOMENTS, FIT):
+        if estimator not in widths:
+            continue
         table = _compute_table(estimator, z, widths[estimator], pitch, wavelength)
         if isinstance(table, str):
-            reasons[estimator] = f"{ESTIMATORS[estimator]}: {table}"
+            reasons.append(f"{ESTIMATORS[estimator]}: {table}")
         else:
-            tables.append(table)
+            tables[estimator] = table
     if not tables:
-        return xr.Dataset(attrs=attributes | {"skipped": "; ".join(reasons.values())})
-    estimator_attributes = {"units": "1", "long_name": "how the widths were measured; the first one is to be quoted"}
-    estimators = np.array(
-        [estimator for estimator in order if estimator in widths and estimator not in reasons], object
-    )
-    ds = xr.concat(tables, "estimator", data_vars="all", coords="minimal", join="exact")
-    ds = ds.assign_coords(
-        {d: fits[d] for d in status.dims if d in fits.coords}
-        | {"estimator": ("estimator", estimators, estimator_attributes)}
-    )
+        return xr.Dataset(attrs=attributes | {"skipped": "; ".join(reasons)})
+    ds = xr.concat(tables.values(), "estimator", data_vars="all", coords="minimal", join="exact")
+    ds = ds.assign_coords({dim: fits[dim] for dim in status.dims if dim in fits.coords})
+    long_name = "how the widths were measured; the first one is to be quoted"
+    add_variable(ds, "estimator", "estimator", np.array([*tables], object), "1", long_name)
     ds.attrs = attributes | {
         "light": "Gaussian" if is_gaussian else "not Gaussian: D4σ exceeds 4σ of the fit",
-        "missing": "; ".join(reasons.values()),
+        "missing": "; ".join(reasons),
         "level": f"intervals of {100 * LEVEL:.0f} %: standard error times Student's t at degrees_of_freedom",
     }
     return store.add_remarks(ds, _check_m2(ds, is_gaussian, pitch, wavelength))
@@ -150,14 +140,16 @@ def _compute_table(
     projected = np.array([project_widths(all_spots, axes.azimuth), project_widths(all_spots, axes.azimuth + 90), mean])
     # From σ [px] to the 1/e² radius 2σ [m].
     radius, stderr = (np.where(is_usable, projected[:, k], np.nan) * 2 * pitch for k in (0, 1))
-    spots = zip(radius, stderr, strict=True)
-    hyperbolas = [fit_hyperbola(places[is_usable], r[is_usable], s[is_usable]) for r, s in spots]
+    caustics = [
+        fit_caustic(places[is_usable], axis_radius[is_usable], axis_stderr[is_usable], wavelength_m=wavelength)
+        for axis_radius, axis_stderr in zip(radius, stderr, strict=True)
+    ]
     ds = xr.Dataset()
     kind = "stigmatic" if axes.is_stigmatic else "simple astigmatic"
     add_variable(ds, "beam", (), kind, "1", "stigmatic if the ratio of the axes is at least 0.87 in every frame")
     _add_axes(ds, axes)
-    _add_hyperbolas(ds, hyperbolas)
-    _add_beam_parameters(ds, hyperbolas, wavelength, axes.is_stigmatic)
+    _add_hyperbolas(ds, [caustic.hyperbola for caustic in caustics])
+    _add_beam_parameters(ds, caustics, axes.is_stigmatic)
     add_variable(ds, "beam_radius", ("axis", *z.dims), radius, "m", "1/e2 beam radius, twice the standard deviation")
     add_variable(ds, "beam_radius_stderr", ("axis", *z.dims), stderr, "m", "standard error of the beam radius")
     _add_position_counts(ds, positions)
@@ -192,16 +184,15 @@ def _check_m2(ds: xr.Dataset, is_gaussian: bool, pitch: float, wavelength: float
     that is not Gaussian (`is_gaussian`) do not make it doubt the input if second moments are known. `pitch` [m] and
     `wavelength` [m] are those of the instrument file.
     """
-    m2_by_estimator = {}
-    for estimator in map(str, ds["estimator"].values):
-        beam = ds.sel(estimator=estimator)
-        values = zip(beam["m2"].values.tolist(), beam["m2_stderr"].values.tolist(), strict=True)
-        m2_by_estimator[estimator] = dict(zip(AXES, values, strict=True))
+    # M² and its standard error [estimator, axis, 2].
+    values = np.stack([ds["m2"], ds["m2_stderr"]], axis=-1).tolist()
+    m2_by_estimator = {
+        str(estimator): dict(zip(AXES, m2_of_axes, strict=True))
+        for estimator, m2_of_axes in zip(ds["estimator"].values, values, strict=True)
+    }
     factors = f"sensor.pixel_pitch_m ({pitch:g})", f"laser.wavelength_m ({wavelength:g})"
-    tested = (
-        [m2_by_estimator[MOMENTS]] if MOMENTS in m2_by_estimator and not is_gaussian else list(m2_by_estimator.values())
-    )
-    for m2_by_axis in tested:
+    tested = [MOMENTS] if MOMENTS in m2_by_estimator and not is_gaussian else m2_by_estimator
+    for m2_by_axis in (m2_by_estimator[estimator] for estimator in tested):
         if remark := describe_impossible_m2(m2_by_axis, *factors, CONDITION):
             return [remark]
     if low := list_low_axes(m2_by_estimator.get(FIT, {}), 1.0):
@@ -240,17 +231,14 @@ def _add_hyperbolas(ds: xr.Dataset, hyperbolas: list[Hyperbola]) -> None:
         add_variable(ds, name, ("axis", "power", "other_power")[: values.ndim], values, units, long_name)
 
 
-def _add_beam_parameters(ds: xr.Dataset, hyperbolas: list[Hyperbola], wavelength: float, is_stigmatic: bool) -> None:
+def _add_beam_parameters(ds: xr.Dataset, caustics: list[Caustic], is_stigmatic: bool) -> None:
     """Add `QUANTITIES` of each axis with standard errors to caustic.nc; those of the mean are NaN if astigmatic."""
-    derived = [derive_beam_parameters(hyperbola, wavelength) for hyperbola in hyperbolas]
-    # Values and standard errors [axis, quantity].
-    values = np.array([axis_values for axis_values, _ in derived])
-    stderr = np.sqrt([np.diag(covariance) for _, covariance in derived])
-    if not is_stigmatic:
-        values[list(AXES).index("mean")] = stderr[list(AXES).index("mean")] = np.nan
-    for k, (name, (units, long_name)) in enumerate(QUANTITIES.items()):
-        add_variable(ds, name, "axis", values[:, k], units, long_name)
-        add_variable(ds, f"{name}_stderr", "axis", stderr[:, k], units, f"standard error of {long_name}")
+    for quantity, (units, description) in QUANTITIES.items():
+        for name, long_name in ((quantity, description), (f"{quantity}_stderr", f"standard error of {description}")):
+            values = np.array([getattr(caustic, name) for caustic in caustics])
+            if not is_stigmatic:
+                values[list(AXES).index("mean")] = np.nan
+            add_variable(ds, name, "axis", values, units, long_name)
 
 
 def _add_position_counts(ds: xr.Dataset, positions: np.ndarray) -> None:

@@ -111,17 +111,9 @@ def has_wings(moments: MomentsByCell, widths: ScanWidths, is_clipped: np.ndarray
 
     Spots that are clipped, `is_clipped` over the grid, do not count: a clip widens D4σ.
     """
-    return any(
-        spot_moments.is_measured
-        and not is_clipped[index]
-        and compute_width_excess(
-            (
-                (spot_moments.major + spot_moments.minor) / 2,
-                float(np.hypot(spot_moments.major_stderr, spot_moments.minor_stderr)) / 2,
-            ),
-            (4 * float(widths.mean[index]), 4 * float(widths.mean_stderr[index])),
-            is_whole=spot_moments.is_whole,
-        )
-        > 0
-        for index, spot_moments in moments.items()
-    )
+    for index, spot_moments in moments.items():
+        if spot_moments.is_measured and not is_clipped[index]:
+            fit_width = 4 * float(widths.mean[index]), 4 * float(widths.mean_stderr[index])
+            if compute_width_excess(spot_moments.mean_width, fit_width, is_whole=spot_moments.is_whole) > 0:
+                return True
+    return False

@@ -183,25 +183,15 @@ def _compute_psnr(
         if partner is None or not other.is_usable_at(partner):
             continue
         # Pairs of images in the order of `REGISTRATIONS`.
-        at_maximum = (measured.maximum_at(index), other.maximum_at(partner))
-        for k, images in enumerate((at_maximum, _align_centres(measured.spot_at(index), other.spot_at(partner)))):
-            if images is not None:
-                ratios = [psnr(*images, data_range=data_range) for data_range in (CONTAINER_RANGE, full_scale)]
-                values[(*index.values(), k)] = ratios
+        pairs = [(measured.maximum_at(index), other.maximum_at(partner))]
+        (image, centre), (other_image, other_centre) = measured.spot_at(index), other.spot_at(partner)
+        shift = centre - other_centre
+        if np.isfinite(shift).all():
+            pairs.append((image, shift_image(other_image, *map(float, shift))))
+        for k, images in enumerate(pairs):
+            ratios = [psnr(*images, data_range=data_range) for data_range in (CONTAINER_RANGE, full_scale)]
+            values[(*index.values(), k)] = ratios
     return values
-
-
-def _align_centres(
-    reference: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return two images [y, x], the second shifted so that its fitted centre lies on that of the first.
-
-    Each argument is an image and its fitted centre (row, column) [px of the image]. None unless both have a fit; the
-    centre of an image without one is NaN.
-    """
-    (image, centre), (other_image, other_centre) = reference, other
-    shift = centre - other_centre
-    return (image, shift_image(other_image, *map(float, shift))) if np.isfinite(shift).all() else None
 
 
 def _add_averages(ds: xr.Dataset) -> xr.Dataset:

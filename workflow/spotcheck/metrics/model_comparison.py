@@ -6,7 +6,7 @@ a value of each declared condition; a mean is over its repeats. Measured means a
 has some: no effect was selected or fitted with them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,17 +76,19 @@ def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedM
         else:
             sources = ((declared, "measured"), (declared, "simulated"), (extended, "simulated"))
             series = [ds[variable].sel(source=source) for ds, source in sources]
-        on_grid = [_choose_as_paper(values) for values in series]
-        dims = [str(dim) for dim in on_grid[0].dims if dim != "repeat"]
-        for index in _iterate_conditions(on_grid[0], dims):
-            measured, *simulated = (values.isel(index).values.astype(float) for values in on_grid)
-            # Repeats are numbered by their position on the grid.
-            is_held_out = held_out_repeats(np.arange(len(measured)))
-            tested = measured[is_held_out] if np.isfinite(measured[is_held_out]).any() else measured
+        choice = {dim: label for dim, label in PAPER_CHOICE.items() if dim in series[0].dims}
+        measured, *simulated = (values.sel(choice).astype(float).where(np.isfinite) for values in series)
+        # Repeats are numbered by their position on the grid.
+        is_held_out = held_out_repeats(np.arange(measured.sizes["repeat"]))
+        tested = measured.isel(repeat=is_held_out).mean("repeat").fillna(measured.mean("repeat"))
+        statistics = (tested, measured.std("repeat", ddof=1), *(values.mean("repeat") for values in simulated))
+        for position in np.argwhere(tested.notnull().values).tolist():
+            index = dict(zip(map(str, tested.dims), position, strict=True))
             # Dimensions without a coordinate were not recorded.
             conditions = {dim: float(declared[dim][k]) for dim, k in index.items() if dim in declared.coords}
-            means = (_finite_mean(sample) for sample in simulated)
-            rows.append(ComparedMetric(metric, index, conditions, _finite_mean(tested), _finite_sd(measured), *means))
+            rows.append(
+                ComparedMetric(metric, index, conditions, *(float(values.isel(index)) for values in statistics))
+            )
     return rows
 
 
@@ -112,28 +114,3 @@ def comparison_csv(rows: Sequence[ComparedMetric]) -> str:
         numbers = [*conditions, row.measured, row.measured_sd, row.declared, row.extended]
         lines.append(",".join([row.metric, *("" if np.isnan(number) else f"{number:.9g}" for number in numbers)]))
     return "\n".join(lines) + "\n"
-
-
-def _choose_as_paper(values: xr.DataArray) -> xr.DataArray:
-    """Return the values on the grid [grid...], those of `PAPER_CHOICE` along all other dimensions."""
-    return values.sel({dim: label for dim, label in PAPER_CHOICE.items() if dim in values.dims})
-
-
-def _iterate_conditions(values: xr.DataArray, dims: Sequence[str]) -> Iterator[dict[str, int]]:
-    """Yield the index {dimension: position} of each condition in which any of `values` [dims..., repeat] is finite."""
-    for position in np.ndindex(*(values.sizes[dim] for dim in dims)):
-        index = dict(zip(dims, position, strict=True))
-        if np.isfinite(values.isel(index)).any():
-            yield index
-
-
-def _finite_mean(sample: np.ndarray) -> float:
-    """Return the mean of the finite values [repeat]; NaN without any."""
-    finite = sample[np.isfinite(sample)]
-    return float(finite.mean()) if finite.size else np.nan
-
-
-def _finite_sd(sample: np.ndarray) -> float:
-    """Return the standard deviation (n − 1) of the finite values [repeat]; NaN of fewer than two."""
-    finite = sample[np.isfinite(sample)]
-    return float(finite.std(ddof=1)) if finite.size > 1 else np.nan
