@@ -157,7 +157,7 @@ def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None])
     values = np.array([(np.log(m.light), np.log(m.sigma), m.x, m.y) for _, m in measured])
     errors = np.array([(m.log_light_error, m.log_sigma_error, m.centre_error, m.centre_error) for _, m in measured])
     # Frames are compared with repeats first; those without enough repeats, with their neighbours in a series.
-    comparison = _compare_repeats(values, errors, indices, [axis.name for axis in dataset.axes].index("repeat"))
+    comparison = _compare_repeats(values, errors, indices)
     comparison = _compare_neighbours(values, errors, indices, dataset, comparison)
     # Flag and reason of each measured frame, None for a good one.
     faults = list(map(_classify, comparison.deviation, comparison.limit, np.exp(values[:, WIDTH])))
@@ -177,16 +177,13 @@ def find_outlier_frames(dataset: Dataset, moments: Sequence[SpotMoments | None])
     return outliers, ""
 
 
-def _compare_repeats(
-    values: np.ndarray, errors: np.ndarray, indices: list[tuple[int, ...]], repeat_axis: int
-) -> _Comparison:
+def _compare_repeats(values: np.ndarray, errors: np.ndarray, indices: list[tuple[int, ...]]) -> _Comparison:
     """Compare each frame with the repeats of its condition, after the offset of its site is removed.
 
-    `values` and their standard errors `errors` are [frame, quantity]; `indices` are those of the frames on the grid,
-    and `repeat_axis` is the number of the axis of repeats. Conditions with fewer than `MIN_SIBLINGS` frames are not
-    tested.
+    `values` and their standard errors `errors` are [frame, quantity], and `indices` are those of the frames on the
+    grid. Conditions with fewer than `MIN_SIBLINGS` frames are not tested.
     """
-    conditions: list[Hashable] = [index[:repeat_axis] + index[repeat_axis + 1 :] for index in indices]
+    conditions: list[Hashable] = [drop_repeat(index) for index in indices]
     # The second axis of the grid is the exposure.
     sites = [(index[0], *index[2:]) for index in indices]
     exposures = np.array([index[1] for index in indices])
@@ -219,6 +216,11 @@ def _compare_repeats(
             deviation[frame] = residuals[frame]
             limit[frame] = _limit_deviation(larger_scatter, errors[frame], degrees_of_freedom)
     return _Comparison(deviation, limit, conditions)
+
+
+def drop_repeat(index: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the condition of a frame: its index on the grid without the repeat, which is the third axis."""
+    return index[:2] + index[3:]
 
 
 def _group_frames(labels: Sequence[Hashable], is_selected: np.ndarray) -> list[np.ndarray]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Sequence
 import numpy as np
 from scipy import stats
 
-from spotcheck.crops.outlier_frames import FALSE_ALARM_RATE, SpotMoments
+from spotcheck.crops.outlier_frames import FALSE_ALARM_RATE, SpotMoments, drop_repeat
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 
@@ -47,12 +47,11 @@ def describe_second_spots(
     measure_at : callable
         Measures the light of a frame elsewhere. It is called for two frames of a condition.
     """
-    repeat_axis = [axis.name for axis in dataset.axes].index("repeat")
     conditions: dict[Hashable, list[int]] = {}
     # `dataset.cells` follows the order of `dataset.spots`.
     for spot, ((index, _), moment) in enumerate(zip(dataset.cells(), moments, strict=True)):
         if moment is not None:
-            conditions.setdefault(index[:repeat_axis] + index[repeat_axis + 1 :], []).append(spot)
+            conditions.setdefault(drop_repeat(index), []).append(spot)
     sigmas = np.array([np.nan if moment is None else moment.sigma for moment in moments])
     for spots in map(np.array, conditions.values()):
         first, second = _find_extremes(centres[spots])

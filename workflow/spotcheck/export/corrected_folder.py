@@ -28,7 +28,7 @@ from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS, Frame
 from spotcheck.errors import InputError
 from spotcheck.export.frame_correction import CorrectedFrame, compute_response_curve, correct_frame
-from spotcheck.export.learned_values import read_sensor, read_verdict
+from spotcheck.export.learned_values import digest_sources, read_sensor, read_verdict
 from spotcheck.io import provenance, store
 from spotcheck.io.atomic_files import write_atomically
 from spotcheck.io.formats.names import split_inner_path
@@ -40,8 +40,6 @@ from spotcheck.sensor import SensorModel
 
 # Files of a results folder that a correction uses, if they exist.
 SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "maps.nc", "verdict.json", "model.yaml")
-# Digits of the SHA-256 of a source that are written.
-DIGEST_DIGITS = 16
 # Pages of a corrected file, as its description names them.
 PAGES = ("electrons of the light [e-]", "variance [e-2]")
 MANIFEST_HEAD = """\
@@ -73,9 +71,7 @@ def read_calibration(results: Path) -> Calibration:
     if (results / "maps.nc").is_file():
         with store.read(results / "maps.nc") as ds:
             maps = read_maps(ds)
-    sources = [name for name in SOURCES if (results / name).is_file()]
-    digests = {name: provenance.file_digest(results / name)[:DIGEST_DIGITS] for name in sources}
-    return Calibration(sensor, tuple(_read_sensor_effects(results)), maps, digests)
+    return Calibration(sensor, tuple(_read_sensor_effects(results)), maps, digest_sources(results, SOURCES))
 
 
 def _read_transfer_sensor(results: Path) -> SensorModel | None:
@@ -127,13 +123,13 @@ def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: P
     """
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty; name a new folder, nothing is overwritten")
-    # `rows` are those of the new manifest, which names the source of each frame.
-    curve, rows = compute_response_curve(calibration.sensor, calibration.effects), []
+    curve, maps = compute_response_curve(calibration.sensor, calibration.effects), None
+    # Rows of the new manifest, which names the source of each frame.
+    rows = []
     # All pages of a stack have the digest of one file.
     digest = cache(provenance.file_digest)
     for frame, name in zip(dataset.frames, name_corrected_frames(dataset.frames), strict=True):
         image = frames.read_masked_image(dataset, frame).astype(float)
-        maps = None
         if calibration.maps is not None:
             _check_size(frame, image.shape, calibration.maps)
             maps = calibration.maps.at(frame.exposure_s)

@@ -21,16 +21,14 @@ from tabulate import tabulate
 import spotcheck
 from spotcheck.dataset.instrument import SECTIONS, BadPixels, Instrument
 from spotcheck.errors import InputError
-from spotcheck.export.learned_values import UnusedResult
+from spotcheck.export.learned_values import UnusedResult, digest_sources
 from spotcheck.export.value_choice import Choice
-from spotcheck.io import provenance, store
+from spotcheck.io import store
 from spotcheck.io.number_text import quantity_text
 from spotcheck.io.schema import read_schema
 
 # Significant digits of a learned value and of its error, more than results determine.
 DIGITS, ERROR_DIGITS = 6, 3
-# Digits of the SHA-256 of a source that are written.
-DIGEST_DIGITS = 16
 # Files of a results folder that values come from.
 SOURCES = ("frames.nc", "transfer.nc", "sensor.nc", "fits.nc", "verdict.json", "light.nc")
 
@@ -91,9 +89,8 @@ def _format_head(results: Path) -> Iterator[str]:
     yield f"# What the data sheet of {results.name} states, and what was learned from its frames: written by"
     yield f"# `spotcheck adopt`, version {spotcheck.__version__}. A dataset names this file by `based_on:` in its"
     yield "# instrument.yaml, or has it as its instrument.yaml."
-    for name in SOURCES:
-        if (results / name).is_file():
-            yield f"# {name}: SHA-256 {provenance.file_digest(results / name)[:DIGEST_DIGITS]}"
+    for name, digest in digest_sources(results, SOURCES).items():
+        yield f"# {name}: SHA-256 {digest}"
 
 
 def _format_section(

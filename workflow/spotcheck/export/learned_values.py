@@ -14,7 +14,7 @@ frames show, in light.nc.
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from spotcheck.characterization.transfer_data import read_quantities
 from spotcheck.crops.full_scale import FROM_FRAMES
 from spotcheck.dataset.instrument import BadPixels, Instrument
 from spotcheck.export.bad_pixels import find_bad_pixels
-from spotcheck.io import store
+from spotcheck.io import provenance, store
 from spotcheck.io.number_text import quantity_text
 from spotcheck.io.schema import read_schema
 from spotcheck.model.effect import AppliedEffect
@@ -35,12 +35,15 @@ from spotcheck.model.effects import vocabulary
 from spotcheck.model.light_shape import LIGHT, read_lights
 from spotcheck.sensor import SensorModel
 
+# Digits of the SHA-256 of a source that are written.
+DIGEST_DIGITS = 16
 # Step of the numerical derivative of a key by a parameter of an effect, in standard errors of the parameter.
 DERIVATIVE_STEP = 1e-3
 # Sensor parameters in electrons, which are proportional to 1/gain as they are measured in DN.
 IN_ELECTRONS = ("read_noise_e", "dark_current_e_per_s")
 # Sensor parameters that photon transfer derives from the light; they are wrong if the response is not linear.
 OF_LINEAR_RESPONSE = ("quantum_efficiency",)
+NEEDS_LINEAR_RESPONSE = "it assumes a linear response; run flats with the new instrument file to measure it"
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,10 @@ def collect_learned_values(results: Path, instrument: Instrument) -> tuple[list[
         else:
             values |= {value.key: value for value in _replace_gain(values, gain, stderr)}
             linear_keys = [f"sensor.{name}" for name in OF_LINEAR_RESPONSE]
-            unused += [_exclude_linear_quantity(values.pop(key)) for key in linear_keys if key in values]
+            for quantity in (values.pop(key) for key in linear_keys if key in values):
+                # Photon transfer assumes a linear response, which an effect of the verdict contradicts.
+                text = quantity_text(quantity.value, quantity.stderr, quantity.unit)
+                unused.append(UnusedResult(quantity.key, text, NEEDS_LINEAR_RESPONSE))
     for result in (_read_light(results, verdict), _collect_bad_pixels(results, instrument, sensor)):
         if isinstance(result, LearnedValue):
             values[result.key] = result
@@ -112,6 +118,12 @@ def read_sensor(results: Path) -> SensorModel | None:
         return None
     with store.read(results / "sensor.nc") as ds:
         return read_sensor_model(ds)
+
+
+def digest_sources(results: Path, names: Sequence[str]) -> dict[str, str]:
+    """Return the first digits of the SHA-256 of each file of `names` that a results folder has, by name."""
+    paths = {name: results / name for name in names}
+    return {name: provenance.file_digest(path)[:DIGEST_DIGITS] for name, path in paths.items() if path.is_file()}
 
 
 def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
@@ -254,15 +266,6 @@ def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float
         if quantity := values.get(f"sensor.{name}"):
             source = f"{quantity.source}, by that gain"
             yield replace(quantity, value=quantity.value * ratio, stderr=quantity.stderr * ratio, source=source)
-
-
-def _exclude_linear_quantity(quantity: LearnedValue) -> UnusedResult:
-    """Return a quantity as unused, because it assumes a linear response and an effect of the verdict contradicts this.
-
-    Photon transfer derives such quantities (`OF_LINEAR_RESPONSE`).
-    """
-    reason = "it assumes a linear response; run flats with the new instrument file to measure it"
-    return UnusedResult(quantity.key, quantity_text(quantity.value, quantity.stderr, quantity.unit), reason)
 
 
 def _read_unit(key: str) -> str:

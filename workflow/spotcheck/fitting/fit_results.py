@@ -1,7 +1,7 @@
 """Results of spot fits: values, standard errors and covariance by name, χ², and the status of each fit."""
 
 from dataclasses import dataclass, fields
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -26,29 +26,6 @@ NAMES = tuple(PARAMETERS)
 FITTED_NAMES = NAMES[:7]
 # Most spots that `repr` lists one by one.
 LISTED_SPOTS = 10
-
-
-class _Column:
-    """Descriptor for one parameter of every spot, or its standard error: a column of `value` or `stderr`.
-
-    The name of the attribute selects the column.
-    """
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._array_name = "stderr" if name.endswith("_stderr") else "value"
-        self._index = NAMES.index(name.removesuffix("_stderr"))
-        unit, text = PARAMETERS[NAMES[self._index]]
-        self.__doc__ = f"{'standard error of ' if self._array_name == 'stderr' else ''}{text} [{unit}]"
-
-    @overload
-    def __get__(self, fits: None, owner: type) -> "_Column": ...
-
-    @overload
-    def __get__(self, fits: "SpotFits", owner: type) -> np.ndarray: ...
-
-    def __get__(self, fits: "SpotFits | None", owner: type) -> "np.ndarray | _Column":
-        """Return the column [spot], or the descriptor itself if it is read from the class."""
-        return self if fits is None else getattr(fits, self._array_name)[..., self._index]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,22 +75,16 @@ class SpotFits:
     chi2_reduced: np.ndarray
     flags: np.ndarray
 
-    amplitude = _Column()
-    amplitude_stderr = _Column()
-    x_centre = _Column()
-    x_centre_stderr = _Column()
-    y_centre = _Column()
-    y_centre_stderr = _Column()
-    sigma_major = _Column()
-    sigma_major_stderr = _Column()
-    sigma_minor = _Column()
-    sigma_minor_stderr = _Column()
-    orientation = _Column()
-    orientation_stderr = _Column()
-    offset = _Column()
-    offset_stderr = _Column()
-    sigma_mean = _Column()
-    sigma_mean_stderr = _Column()
+    def __getattr__(self, name: str) -> np.ndarray:
+        """Return a parameter [spot] or its standard error by name: a column of `value` or `stderr`."""
+        parameter = name.removesuffix("_stderr")
+        if parameter not in PARAMETERS:
+            raise AttributeError(f"SpotFits has no attribute {name!r}; the parameters are {', '.join(NAMES)}")
+        return (self.value if parameter == name else self.stderr)[..., NAMES.index(parameter)]
+
+    def __dir__(self) -> list[str]:
+        """Return the names of all attributes, for completion in an editor."""
+        return [*super().__dir__(), *NAMES, *(f"{name}_stderr" for name in NAMES)]
 
     @property
     def parameters(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ of a, b, c if parameters are fixed (`Parametrization`).
 """
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from spotcheck.fitting.optimization import (
     apply_constraints,
     compute_jacobian,
     compute_theta,
+    convert_inverse_covariance,
     fit_least_squares,
     run_fisher_scoring,
 )
@@ -136,19 +138,20 @@ def fit_spots(
         raise ValueError("sensor: the likelihood needs a gain and a read noise; without them use equal weights")
     design = _build_design(dict(fixed or {}), circular, top_hat, integrated)
     law = build_reading_law(None if sensor is None else check_sensor(sensor), maps)
-    # Laws of readings between whole numbers, by the shape of the image.
-    fractional_laws: dict[tuple[int, ...], ReadingLaw] = {}
+
+    @cache
+    def build_fractional_law(shape: tuple[int, ...]) -> ReadingLaw:
+        """Return the law of readings between whole numbers, for images of a shape (rows, columns)."""
+        # Uniform maps without errors change nothing but let readings be fractional.
+        return build_reading_law(sensor, PixelMaps(np.zeros(shape), np.ones(shape)))
+
     is_single = getattr(images, "ndim", None) == 2
     image_sequence: Iterable[np.ndarray] = [np.asanyarray(images)] if is_single else images
     shapes, results = [], []
     for image_index, image in enumerate(image_sequence):
         pixels, image_law = _prepare_pixels(image, image_index), law
         if weighting == "likelihood" and maps is None and not np.array_equal(pixels, np.rint(pixels), equal_nan=True):
-            if pixels.shape not in fractional_laws:
-                # Uniform maps without errors change nothing but let readings be fractional.
-                uniform_maps = PixelMaps(np.zeros(pixels.shape), np.ones(pixels.shape))
-                fractional_laws[pixels.shape] = build_reading_law(sensor, uniform_maps)
-            image_law = fractional_laws[pixels.shape]
+            image_law = build_fractional_law(pixels.shape)
         if sensor is not None:
             pixels = sensor.linearize(pixels)
         if maps is not None:
@@ -300,25 +303,20 @@ def _convert_theta_to_widths(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     slopes : array [n, parameter, θ]
         Derivatives of the values by the elements of θ.
     """
-    a, b, c = theta[:, 3], theta[:, 4], theta[:, 5]
-    half_difference, mean = (a - c) / 2, (a + c) / 2
-    spread = np.hypot(half_difference, b)
-    # The long axis belongs to the smaller eigenvalue of the inverse covariance, hence the signs.
-    orientation = np.arctan2(-b, -half_difference) / 2
-    cos, sin = np.cos(orientation), np.sin(orientation)
-    # Eigenvalues of the inverse covariance [1/px²] along the long and the short axis.
-    eigenvalues = np.stack([mean - spread, mean + spread])
     value = theta.copy()
-    value[:, 3:5], value[:, 5] = eigenvalues.T**-0.5, orientation
+    for point in value:
+        point[3:6] = convert_inverse_covariance(*point[3:6])
+    cos, sin = np.cos(value[:, 5]), np.sin(value[:, 5])
     slopes = np.broadcast_to(np.eye(7), (len(theta), 7, 7)).copy()
-    # Derivatives of both eigenvalues by a, b, c.
+    # Derivatives of the eigenvalues 1/σ² of the inverse covariance by a, b, c, and from them those of σ.
     major_slopes = np.stack([cos * cos, 2 * cos * sin, sin * sin])
     minor_slopes = np.stack([sin * sin, -2 * cos * sin, cos * cos])
-    slopes[:, 3, 3:6] = (-0.5 * eigenvalues[0] ** -1.5 * major_slopes).T
-    slopes[:, 4, 3:6] = (-0.5 * eigenvalues[1] ** -1.5 * minor_slopes).T
+    slopes[:, 3, 3:6] = (-0.5 * value[:, 3] ** 3 * major_slopes).T
+    slopes[:, 4, 3:6] = (-0.5 * value[:, 4] ** 3 * minor_slopes).T
     # A round spot has no direction: its slopes are huge, and its error of the orientation is set to infinity later.
+    difference = np.hypot(theta[:, 3] - theta[:, 5], 2 * theta[:, 4])
     orientation_slopes = np.stack([-cos * sin, cos * cos - sin * sin, cos * sin])
-    slopes[:, 5, 3:6] = (orientation_slopes / -np.maximum(2 * spread, 1e-300)).T
+    slopes[:, 5, 3:6] = (orientation_slopes / -np.maximum(difference, 1e-300)).T
     return value, slopes
 
 
@@ -372,15 +370,12 @@ def _flag_fits(value: np.ndarray, stderr: np.ndarray, shapes: np.ndarray) -> np.
     return np.where(np.isnan(amplitude), flag("not_converged"), np.where(is_trusted, 0, flag("at_limit")))
 
 
-def render_fit(value: np.ndarray, side: int, top_hat: bool = False) -> np.ndarray:
-    """Return the fitted spot in a crop [side, side] in DN.
+def evaluate_fit(value: np.ndarray, y: np.ndarray, x: np.ndarray, *, top_hat: bool = False) -> np.ndarray:
+    """Return the fitted readings at rows y and columns x [px], arrays that are broadcast.
 
-    `value` [8] are the parameters of one spot in the order of `SpotFits.parameters`, with the centre relative to the
-    crop. With `top_hat` the light is cut to a plateau.
+    `value` [8] are the parameters of one spot in the order of `SpotFits.parameters`. With `top_hat` the light is cut to
+    a plateau.
     """
-    amplitude, x, y, major, minor, orientation, offset, _ = value
-    pixel = np.arange(side, dtype=float)
-    light = spot.elliptical_gaussian(
-        pixel[None, :], pixel[:, None], amplitude, x, y, major, minor, np.radians(orientation)
-    )
+    amplitude, x0, y0, major, minor, orientation, offset, _ = value
+    light = spot.elliptical_gaussian(x, y, amplitude, x0, y0, major, minor, np.radians(orientation))
     return (spot.top_hat(light, amplitude) if top_hat else light) + offset

@@ -14,6 +14,7 @@ from spotcheck.characterization.contradictions import SourceValue
 from spotcheck.characterization.sensor_choice import convert_to_electrons
 from spotcheck.characterization.spot_estimates import estimate_from_spots, measure_rim
 from spotcheck.crops.full_scale import MIN_PLATEAU_PX, measure_extremes
+from spotcheck.crops.spotfinding import MEDIAN_DIFFERENCE
 from spotcheck.io import progress
 from spotcheck.quicklook.images import Image
 from spotcheck.sensor import SensorModel
@@ -23,8 +24,6 @@ UNKNOWN_GAIN = "in no image does the noise grow with the signal"
 NOISE_STEPS = 2.0
 # Integers with more noise than this [DN] are sums of readings, not single readings.
 MOST_NOISE_DN = 1000.0
-# Median of |difference of two neighbours| of normal noise, in units of its standard deviation: √2 · 0.6745.
-MEDIAN_DIFFERENCE = 0.954
 # Least noise of an image, as a fraction of its range of readings.
 LEAST_NOISE = 1e-5
 

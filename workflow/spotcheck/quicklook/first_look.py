@@ -6,7 +6,6 @@ A scan is a series of images at several positions along the beam, from which M²
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -196,17 +195,14 @@ def _analyse_images(
 
     `positions` are those of the images along the beam [m], None if unknown.
     """
-
-    def camera_key(index: int) -> tuple:
-        """Return size and bit depth of an image; 0 replaces None, which cannot be sorted."""
-        return images[index].shape, images[index].bits or 0
-
+    # Indices of the images by size and bit depth; 0 replaces None, which cannot be sorted.
+    groups: dict[tuple, list[int]] = {}
+    for index, image in enumerate(images):
+        groups.setdefault((image.shape, image.bits or 0), []).append(index)
     cameras: list[Camera] = []
     results: dict[int, ImageResult] = {}
-    for _, group in groupby(sorted(range(len(images)), key=camera_key), key=camera_key):
-        indices = list(group)
-        camera = estimate_camera([images[i] for i in indices])
-        cameras.append(camera)
-        for i in progress.track(indices, "fitting spots"):
-            results[i] = analyse_image(images[i], camera, positions[i])
-    return cameras, [results[i] for i in range(len(images))]
+    for _, indices in sorted(groups.items()):
+        cameras.append(estimate_camera([images[index] for index in indices]))
+        for index in progress.track(indices, "fitting spots"):
+            results[index] = analyse_image(images[index], cameras[-1], positions[index])
+    return cameras, [results[index] for index in range(len(images))]

@@ -18,8 +18,7 @@ from spotcheck.characterization.outlier_pixels import find_outlier_pixels
 from spotcheck.fitting.fit_results import NAMES, SpotFits
 from spotcheck.fitting.moments import AREA, Moments, second_moments
 from spotcheck.fitting.scan_widths import compute_width_excess
-from spotcheck.fitting.spotfit import fit_spots
-from spotcheck.model import spot
+from spotcheck.fitting.spotfit import evaluate_fit, fit_spots
 from spotcheck.quicklook.camera import Camera, find_clip_level
 from spotcheck.quicklook.images import Image
 from spotcheck.sensor import ROUNDING_VARIANCE, SensorModel
@@ -123,12 +122,13 @@ class ImageResult:
 
         The widening of D4σ by a clip does not count.
         """
-        moment_width, fit_width = (
-            ((major + minor) / 2, float(np.hypot(major_stderr, minor_stderr)) / 2)
-            for (major, major_stderr), (minor, minor_stderr) in (self.moment_widths, self.fit_widths)
+        if not self.moments.is_measured:
+            return 0.0
+        (major, major_stderr), (minor, minor_stderr) = self.fit_widths
+        fit_width = (major + minor) / 2, float(np.hypot(major_stderr, minor_stderr)) / 2
+        return compute_width_excess(
+            self.moments.mean_width, fit_width, is_whole=self.moments.is_whole, clip_widening=self.clip_widening
         )
-        is_whole, widening = self.moments.is_whole, self.clip_widening
-        return compute_width_excess(moment_width, fit_width, is_whole=is_whole, clip_widening=widening)
 
 
 def analyse_image(image: Image, camera: Camera, z_m: float | None = None) -> ImageResult:
@@ -240,7 +240,7 @@ def _estimate_noise(window: np.ndarray) -> SensorModel | None:
     fit = fit_spots(window, weighting="equal")
     if fit.status != "ok":
         return None
-    signal = _evaluate_fit(fit, *np.ogrid[: window.shape[0], : window.shape[1]]) - fit.offset
+    signal = evaluate_fit(fit.value, *np.ogrid[: window.shape[0], : window.shape[1]]) - fit.offset
     # The median of these squares is the variance of normal noise, and hot pixels hardly change it.
     scaled_squares = (window - signal - fit.offset) ** 2 / chi2.median(1)
     is_bright = (signal > BRIGHT * fit.amplitude) & np.isfinite(window)
@@ -282,21 +282,12 @@ def _convert_to_dn(fit: SpotFits, step_dn: float) -> SpotFits:
     return replace(fit, value=fit.value * factor, stderr=fit.stderr * factor, covariance=covariance)
 
 
-def _evaluate_fit(fit: SpotFits, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return the fitted readings at rows y and columns x [px] of the window, arrays that are broadcast.
-
-    The unit is that of the fit; the positions of the fit must be those in the window.
-    """
-    amplitude, x0, y0, major, minor, orientation, offset, _ = fit.value
-    return spot.elliptical_gaussian(x, y, amplitude, x0, y0, major, minor, np.radians(orientation)) + offset
-
-
 def _measure_residual(window: np.ndarray, fit: SpotFits) -> float:
     """Return the rms residual of a window [rows, columns] in DN within the 1/e² contour, as a fraction of the peak.
 
     NaN pixels do not count. Returns NaN if no pixel is within the contour.
     """
-    model = _evaluate_fit(fit, *np.ogrid[: window.shape[0], : window.shape[1]])
+    model = evaluate_fit(fit.value, *np.ogrid[: window.shape[0], : window.shape[1]])
     is_inside = (model - fit.offset > fit.amplitude * np.exp(-2)) & np.isfinite(window)
     if not is_inside.any():
         return np.nan
@@ -322,7 +313,7 @@ def _make_picture(window: np.ndarray, fit: SpotFits, top: int, left: int) -> Spo
         x = fit.x_centre + distance * np.cos(np.radians(angle))
         y = fit.y_centre + distance * np.sin(np.radians(angle))
         reading = ndimage.map_coordinates(filled, [y, x], order=1, cval=np.nan)
-        return Profile(distance, reading, _evaluate_fit(fit, y, x))
+        return Profile(distance, reading, evaluate_fit(fit.value, y, x))
 
     angle = float(fit.orientation)
     profiles = take_profile(angle, float(fit.sigma_major)), take_profile(angle + 90, float(fit.sigma_minor))
