@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from spotcheck.characterization.sensor_choice import choose_sensor_values, read_sensor_model
-from spotcheck.crops.cropping import crop_spots
-from spotcheck.crops.full_scale import find_full_scale, find_reading_step, measure_extremes
+from spotcheck.crops.full_scale import FullScale, find_full_scale, find_reading_step, measure_extremes
 from spotcheck.crops.ingest import ingest_frames, read_full_scale
 from spotcheck.dataset.instrument import Instrument, Sensor
 from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.io import store
 from spotcheck.model.spot import elliptical_gaussian
-from tests.samples.small_datasets import loaded
+from tests.samples.small_datasets import crops_of, loaded
 
 GAIN, NOISE_E, BLACK = 0.4, 4.0, 25.0
 
@@ -39,11 +38,8 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
     assert f"3 frames stop at exactly {highest * unit} DN" in said
     depth = {1023: "sensor.bit_depth 10", 16383: "sensor.bit_depth 14", 4095: "sensor.bit_depth 12", 3871: "give it"}
     assert depth[highest] in said and (f"value_shift_bits {shift}" in said) == bool(shift)
-    crop_spots(dataset, table, tmp_path / "crops.nc", code="", inputs=[])
-    with store.read(tmp_path / "crops.nc") as images:
-        end = read_full_scale(table)
-        sensor = read_sensor_model(choose_sensor_values(dataset, end, []))
-        fits = select_preferred_fits(fit_crops(images, sensor))
+    sensor = read_sensor_model(choose_sensor_values(dataset, read_full_scale(table), []))
+    fits = select_preferred_fits(fit_crops(crops_of(dataset), sensor))
     assert sensor.full_scale_dn == highest * unit
     assert set(store.status_names(fits["status"].values).ravel()) == {"clipped"}
     for name, truth in (("amplitude", amplitude * unit), ("sigma_major", 8.0), ("sigma_minor", 6.0)):
@@ -52,11 +48,10 @@ def test_a_clipped_spot_is_fitted_as_one_without_a_bit_depth(tmp_path, highest, 
         assert np.abs(off).max() < 4, (name, off)
 
 
-def whole(pixels: np.ndarray, **sensor) -> int:
-    """Where the readings of one frame stop, in a container of 16 bits."""
-    return find_full_scale(
-        [measure_extremes(pixels)], Instrument(sensor=Sensor(**sensor), given_keys=frozenset(sensor)), 16
-    ).reading
+def end_of(*frames: np.ndarray, bits: int = 16, **sensor) -> FullScale:
+    """Where the readings of frames stop, in a container of so many bits."""
+    given = Instrument(sensor=Sensor(**sensor), given_keys=frozenset(f"sensor.{key}" for key in sensor))
+    return find_full_scale([measure_extremes(pixels) for pixels in frames], given, bits)
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -70,54 +65,48 @@ def test_what_is_not_clipped_has_no_end(seed):
         np.rint(np.maximum(rng.normal(level, noise, (90, 100)), 0)).astype(np.uint16),
         np.rint(20 + rng.exponential(level / 3, (90, 100))).astype(np.uint16),
     ]
-    assert [whole(pixels) for pixels in frames] == [65535] * 3
+    assert [end_of(pixels).reading for pixels in frames] == [65535] * 3
 
 
-def test_frames_of_one_number_are_not_clipped():
-    """Black frames of a camera without noise: all 0, or all 41; and one of 40 and 41."""
-    for pixels in (np.zeros((50, 50), np.uint16), np.full((50, 50), 41, np.uint16)):
-        assert whole(pixels) == 65535
+def test_frames_of_one_number_are_clipped_beside_others_only():
+    """Black frames of a camera without noise, all 0 or 41 or mostly so, are not; a flat of 1023 is beside darks."""
     mostly = np.full((50, 50), 41, np.uint16)
     mostly[::3] = 40
-    assert whole(mostly) == 65535
+    for pixels in (np.zeros((50, 50), np.uint16), np.full((50, 50), 41, np.uint16), mostly):
+        assert end_of(pixels).reading == 65535
+    assert end_of(mostly, np.full((50, 50), 1023, np.uint16)).reading == 1023
+    assert end_of(bits=8).reading == 255
 
 
-def test_a_saturated_flat_is_clipped_beside_darks():
-    """All pixels of a flat at 1023, and darks at 30: the end of both."""
-    rng = np.random.default_rng(2)
-    dark = np.rint(rng.normal(30, 2, (60, 60))).astype(np.uint16)
-    tops = [measure_extremes(dark), measure_extremes(np.full((60, 60), 1023, np.uint16))]
-    assert find_full_scale(tops, Instrument(), 16).reading == 1023
-    assert find_full_scale([], Instrument(), 8).reading == 255
+# Stated depth, highest reading, full scale, and what the remark says.
+STATED = [
+    *((12, highest, highest, "") for highest in (4080, 4094, 4095)),
+    (12, 4000, 4095, "the verdict looks for saturation"),
+    (16, 4095, 65535, "sensor.bit_depth 12 would be right"),
+    (16, 2900, 65535, "the verdict looks for saturation"),
+]
 
 
-@pytest.mark.parametrize(("highest", "end"), [(4080, 4080), (4094, 4094), (4095, 4095), (4000, 4095)])
-def test_a_plateau_just_below_the_stated_depth_is_the_end(highest, end):
-    """Within 1 % of it; further below the sensor saturates, and a remark says so."""
-    top = measure_extremes(spot(np.random.default_rng(5), 3 * highest, highest))
-    found = find_full_scale(
-        [top], Instrument(sensor=Sensor(bit_depth=12), given_keys=frozenset({"sensor.bit_depth"})), 16
-    )
-    assert found.reading == end and bool(found.remarks) == (highest == 4000)
+@pytest.mark.parametrize(("depth", "highest", "end", "words"), STATED)
+def test_a_plateau_below_the_stated_depth(depth, highest, end, words):
+    """Within 1 % of it it is the end. Further below the depth stands, and a remark says which would be right; a stop
+    that no converter has is left to the verdict."""
+    found = end_of(spot(np.random.default_rng(5), 3 * highest, highest), bit_depth=depth)
+    assert found.reading == end and len(found.remarks) == bool(words)
+    assert all(f"stops at exactly {highest} DN" in remark and words in remark for remark in found.remarks)
 
 
-def test_a_bit_depth_that_frames_contradict_is_said():
-    """Declared 16 bit, stopped at 4095: the depth stands, and the sentence says which would be right. A stop that no
-    converter has is left to the verdict."""
-    rng = np.random.default_rng(3)
-    for highest, words in ((4095, "sensor.bit_depth 12 would be right"), (2900, "the verdict looks for saturation")):
-        top = measure_extremes(spot(rng, 3 * highest, highest))
-        end = find_full_scale(
-            [top], Instrument(sensor=Sensor(bit_depth=16), given_keys=frozenset({"sensor.bit_depth"})), 16
-        )
-        assert end.reading == 65535 and len(end.remarks) == 1
-        assert f"stops at exactly {highest} DN" in end.remarks[0] and words in end.remarks[0]
+@pytest.mark.parametrize(("stated", "remarks"), [(700, 0), (650, 1)])
+def test_full_scale_is_taken_from_the_file(stated, remarks):
+    """A reading below that of its bits; frames that read more are remarked on."""
+    found = end_of(spot(np.random.default_rng(6), 900, 700), bit_depth=10, full_scale_dn=stated)
+    assert (found.reading, found.source, len(found.remarks)) == (stated, "instrument.yaml", remarks)
 
 
 @pytest.mark.parametrize("shift", [0, 1, 4, 6])
 def test_left_aligned_values_are_said(shift):
     """The lowest bit that any reading has set."""
     pixels = spot(np.random.default_rng(4), 600, 1023, shift=shift)
-    end = find_full_scale([measure_extremes(pixels)], Instrument(), 16)
+    end = end_of(pixels)
     assert find_reading_step(measure_extremes(pixels).bits) == 2**shift
     assert ([f"sensor.value_shift_bits to {shift}" in text for text in end.remarks] == [True]) == bool(shift)

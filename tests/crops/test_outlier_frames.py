@@ -8,14 +8,13 @@ import pytest
 import tifffile
 from scipy import stats
 
-from spotcheck.crops.cropping import crop_spots
-from spotcheck.crops.ingest import ingest_frames
 from spotcheck.crops.outlier_frames import FALSE_ALARM_RATE, SpotMoments, find_outlier_frames, measure_moments
 from spotcheck.dataset.folder import Dataset, load
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.dataset.manifest import Frame
 from spotcheck.errors import InputError
 from spotcheck.io import store
+from tests.samples.small_datasets import crops_of
 
 SIDE, SIGMA, NOISE = 60, 6.0, 1.5
 
@@ -210,12 +209,10 @@ def manifest(folder: Path, keep: dict[int, str]) -> None:
 def cropped(folder: Path) -> tuple[dict[str, str], list[str]]:
     """Flags of the frames that are of no use, by their files, and remarks."""
     dataset = load(folder)
-    table = ingest_frames(dataset)
-    crop_spots(dataset, table, folder / "crops.nc", code="", inputs=[])
-    with store.read(folder / "crops.nc") as ds:
-        status = ds["status"].sel(centring="light").transpose("angle", "exposure", "repeat").values
-        flags = {f.file: str(store.status_names(status[index] & store.UNUSABLE)) for index, f in dataset.cells()}
-        return {file: own for file, own in flags.items() if own != "ok"}, store.remarks_of(ds)
+    ds = crops_of(dataset)
+    status = ds["status"].sel(centring="light").transpose("angle", "exposure", "repeat").values
+    flags = {f.file: str(store.status_names(status[index] & store.UNUSABLE)) for index, f in dataset.cells()}
+    return {file: own for file, own in flags.items() if own != "ok"}, store.remarks_of(ds)
 
 
 def test_crops_say_what_is_set_aside_and_why(folder):

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import tifffile
 
-from spotcheck.crops.cropping import crop_spots
-from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.folder import load
 from spotcheck.io import store
+from tests.samples.small_datasets import crops_of
 
 # Column, row, σ [px] and peak [DN] of a spot.
 Spot = tuple[float, float, float, float]
@@ -26,10 +25,7 @@ def read_remarks(base: Path, repeats: list[list[Spot]], sheet: str = "", keep: d
         rows.append(f"f{k}.tif,spot,,0.002,{k},{(keep or {}).get(k, '')}")
     (base / "manifest.csv").write_text("\n".join(rows) + "\n")
     (base / "instrument.yaml").write_text(f"crop_px: 100\nsensor: {{bit_depth: 10}}\n{sheet}")
-    dataset = load(base)
-    crop_spots(dataset, ingest_frames(dataset), base / "crops.nc", code="", inputs=[])
-    with store.read(base / "crops.nc") as crops:
-        return "; ".join(store.remarks_of(crops))
+    return "; ".join(store.remarks_of(crops_of(load(base))))
 
 
 def take_turns(distance: float, sigma: float, count: int) -> list[list[Spot]]:

@@ -6,13 +6,11 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-import tifffile
 import xarray as xr
 
 from spotcheck.characterization.sensor_choice import SHEET, SOURCES, read_standard_errors
 from spotcheck.cli import main, run
 from spotcheck.cli.pipeline import judge_dataset
-from spotcheck.crops.full_scale import find_full_scale, measure_extremes
 from spotcheck.dataset.instrument import BadPixels, Instrument, Sensor, read_instrument
 from spotcheck.errors import InputError
 from spotcheck.export.bad_pixels import find_bad_pixels
@@ -32,7 +30,7 @@ from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_writer import LightFile, write_light
 from spotcheck.sensor import SensorModel
 from tests.reference.numpy_chain import draw
-from tests.samples.small_datasets import SENSOR, folder, gaussian, loaded, noisy
+from tests.samples.small_datasets import SENSOR, crops_of, gaussian, loaded, noisy
 
 # Effects.
 
@@ -81,6 +79,7 @@ SHEET_OF = Instrument(
     given_keys=frozenset({"sensor.gain_dn_per_e", "sensor.read_noise_e", "sensor.black_level_dn"}),
 )
 FLATS, SPOTS = "flats and darks (sensor.nc)", "spots (sensor.nc)"
+NO_EFFICIENCY = "key sensor.quantum_efficiency is 1.2; it must be at most 1"
 
 
 @pytest.mark.parametrize(
@@ -94,15 +93,7 @@ FLATS, SPOTS = "flats and darks (sensor.nc)", "spots (sensor.nc)"
         ("black_level_dn", 20.2, 0.1, FLATS, False, True, "known better than the sheet states"),
         ("black_level_dn", 20.2, 0.9, FLATS, False, False, "agrees with the sheet within 0.2 errors"),
         ("dark_current_e_per_s", 70.0, 9.0, SPOTS, False, True, "the sheet does not say"),
-        (
-            "quantum_efficiency",
-            1.2,
-            0.1,
-            FLATS,
-            False,
-            False,
-            "key sensor.quantum_efficiency is 1.2; it must be at most 1",
-        ),
+        ("quantum_efficiency", 1.2, 0.1, FLATS, False, False, NO_EFFICIENCY),
     ],
 )
 def test_what_a_sheet_states_gives_way(key, value, stderr, source, overrules, is_adopted, reason):
@@ -123,41 +114,26 @@ def judged(shelf, tmp_path_factory):
     return results / "my-flats"
 
 
-def spots(base, instrument):
-    """A dataset of spots without a number of its own."""
-    base.mkdir(parents=True)
-    (base / "frames").mkdir()
-    camera = SensorModel(0.3, 9.0, black_level_dn=30.0, full_scale_dn=4095.0)
-    for k in range(3):
-        tifffile.imwrite(base / f"frames/f{k}.tif", noisy(gaussian(64, 900.0, 31.5, 32.2, 4.0), k, camera))
-    return folder(base, [f"frames/f{k}.tif,spot,0,1e-4,{k}" for k in range(3)], instrument)
-
-
 def test_from_flats_to_a_dataset_of_spots(judged, tmp_path, capsys):
     """What flats tell is written, and a dataset of spots that is based on the file uses it with its errors.
 
     The camera's numbers, which the flats were drawn with, lie within 4.5 errors of what is used (false alarm 7e-6)."""
     main(["adopt", str(judged), "--to", str(tmp_path / "cameras" / "camera.yaml")])
     assert "sensor.gain_dn_per_e" in capsys.readouterr().out
-    data = spots(tmp_path / "spots", "{based_on: ../cameras/camera.yaml, crop_px: 48}")
-    main(["check", str(data)])
-    for command in ("ingest", "crop", "sensor"):
-        words = {
-            "ingest": [],
-            "crop": ["--frames", "frames.nc"],
-            "sensor": ["--frames", "frames.nc", "--crops", "crops.nc"],
-        }
-        files = [str(tmp_path / word) if word.endswith(".nc") else word for word in words[command]]
-        name = {"ingest": "frames", "crop": "crops"}.get(command, command)
-        run([command, str(data), *files, "--output", str(tmp_path / f"{name}.nc")])
-    with store.read(tmp_path / "sensor.nc") as used:
+    camera = SensorModel(0.3, 9.0, black_level_dn=30.0, full_scale_dn=4095.0)
+    images = [noisy(gaussian(64, 900.0, 31.5, 32.2, 4.0), k, camera) for k in range(3)]
+    data = loaded(tmp_path / "spots", images, "{based_on: ../cameras/camera.yaml, crop_px: 48}")
+    main(["check", str(data.folder)])
+    files = {name: str(tmp_path / f"{name}.nc") for name in ("frames", "sensor")}
+    run(["ingest", str(data.folder), "--output", files["frames"]])
+    crops_of(data)
+    inputs = ["--frames", files["frames"], "--crops", str(data.folder / "crops.nc")]
+    run(["sensor", str(data.folder), *inputs, "--output", files["sensor"]])
+    with store.read(files["sensor"]) as used:
         for name, truth in (("gain_dn_per_e", 0.3), ("read_noise_e", 9.0), ("black_level_dn", 30.0)):
             value, error = float(used[name]), float(used[f"{name}_stderr"])
-            assert (
-                used[name].attrs["source"] == "camera.yaml, on which instrument.yaml is based"
-                and 0 < error < 0.1 * truth
-            )
-            assert abs(value - truth) < 4.5 * error
+            assert used[name].attrs["source"] == "camera.yaml, on which instrument.yaml is based"
+            assert 0 < error < 0.1 * truth and abs(value - truth) < 4.5 * error
             assert float(used[f"{name}_by"].sel(source=SHEET)) == value
         assert min(read_standard_errors(used)) > 0
 
@@ -200,12 +176,9 @@ def test_the_file_is_that_of_the_instrument(judged, shelf, tmp_path):
     assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
     made = read_instrument(tmp_path / "a.yaml")
     assert made.sensor.bit_depth == 12 and made.name is None
-    learned = {
-        own.key for own in collect_learned_values(judged, read_instrument(shelf / "my-flats" / "instrument.yaml"))[0]
-    }
-    assert made.given_keys == learned | {"sensor.bit_depth"} | {
-        f"sensor.{name}_stderr" for name in ("gain_dn_per_e", "read_noise_e", "black_level_dn")
-    }
+    learned, _ = collect_learned_values(judged, read_instrument(shelf / "my-flats" / "instrument.yaml"))
+    errors = {f"sensor.{name}_stderr" for name in ("gain_dn_per_e", "read_noise_e", "black_level_dn")}
+    assert made.given_keys == {value.key for value in learned} | {"sensor.bit_depth"} | errors
 
 
 def named(name, form, *rivals, **parameters):
@@ -265,21 +238,9 @@ def test_pixels_that_frame_after_frame_leaves_out_are_bad(tmp_path):
         images.append(image)
     images[1][40, 47] = 800
     data = loaded(tmp_path / "data", images, "{crop_px: 60}")
-    run(["ingest", str(data.folder), "--output", str(tmp_path / "frames.nc")])
-    run(["crop", str(data.folder), "--frames", str(tmp_path / "frames.nc"), "--output", str(tmp_path / "crops.nc")])
-    with store.read(tmp_path / "crops.nc") as images:
-        found = find_bad_pixels(fit_crops(images, SENSOR), images, SENSOR)
+    crops = crops_of(data)
+    found = find_bad_pixels(fit_crops(crops, SENSOR), crops, SENSOR)
     assert found == (BadPixels(columns=(60,), pixels=((44, 52),)), 4)
-
-
-def test_where_the_converter_stops_is_taken_from_the_file(tmp_path):
-    """A reading below that of its bits; frames that read more are remarked on."""
-    image = np.minimum(noisy(gaussian(60, 900.0, 30, 30, 5.0), 1), 700)
-    text = "{crop_px: 40, sensor: {bit_depth: 10, full_scale_dn: %d}}"
-    for stated, remarks in ((700, 0), (650, 1)):
-        found = loaded(tmp_path / str(stated), [image], text % stated)
-        end = find_full_scale([measure_extremes(image)], found.instrument, 16)
-        assert (end.reading, end.source, len(end.remarks)) == (stated, "instrument.yaml", remarks)
 
 
 # Files below files.
@@ -291,9 +252,8 @@ def test_keys_of_a_shared_file_hold_where_there_is_none(tmp_path):
     write_light([LightShape(0.25, np.zeros((6, 6)))], LightFile(tmp_path / "lab" / "light.nc", "d", code="c"))
     shared = "{crop_px: 64, sensor: {gain_dn_per_e: 0.2, read_noise_e: 9}, light: {profile: light.nc}}"
     (tmp_path / "lab" / "camera.yaml").write_text(shared, encoding="utf-8")
-    (tmp_path / "instrument.yaml").write_text(
-        "{based_on: lab/camera.yaml, sensor: {read_noise_e: 11}}", encoding="utf-8"
-    )
+    own = "{based_on: lab/camera.yaml, sensor: {read_noise_e: 11}}"
+    (tmp_path / "instrument.yaml").write_text(own, encoding="utf-8")
     made = read_instrument(tmp_path / "instrument.yaml")
     assert (made.sensor.gain_dn_per_e, made.sensor.read_noise_e, made.crop_px) == (0.2, 11.0, 64)
     assert made.light.profile == str(tmp_path / "lab" / "light.nc")

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck.dataset.instrument import Instrument, Laser, Sensor
 from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_widths
 from spotcheck.fitting.scan_caustic import compute_caustic, select_beam_rows
-from spotcheck.fitting.scan_widths import WIDTH_PARAMETERS
-from spotcheck.io import store
+from tests.samples.scans import INSTRUMENT, PITCH, fits_of_scan, radius_of
 
-WAVELENGTH, PITCH = 1.064e-6, 4.4e-6
 Z = np.linspace(-0.05, 0.25, 15)
 
 
@@ -20,14 +17,9 @@ def turned(degrees) -> np.ndarray:
     return np.stack([np.stack([np.cos(t), -np.sin(t)], -1), np.stack([np.sin(t), np.cos(t)], -1)], -2)
 
 
-def radii(z, waist, position, m2) -> np.ndarray:
-    """1/e² radius [m] of a beam (ISO 11146-1)."""
-    return waist * np.hypot(1, (z - position) * m2 * WAVELENGTH / (np.pi * waist**2))
-
-
 def matrices(z, waists, positions, m2s, degrees) -> np.ndarray:
     """Σ [frame, 2, 2] in px² of a beam with two axes, the first at `degrees`."""
-    own = [(radii(z, *beam) / 2 / PITCH) ** 2 for beam in zip(waists, positions, m2s, strict=True)]
+    own = [(radius_of(z, *beam) / 2 / PITCH) ** 2 for beam in zip(waists, positions, m2s, strict=True)]
     diagonal = np.zeros((len(z), 2, 2))
     diagonal[:, 0, 0], diagonal[:, 1, 1] = own
     turn = turned(np.broadcast_to(degrees, len(z)))
@@ -55,28 +47,9 @@ def fitted(covariance, part, rng=None) -> SpotWidths:
     return SpotWidths(major, minor, degrees, error / (2 * major), error / (2 * minor), unknown)
 
 
-def scan(spots: SpotWidths) -> xr.Dataset:
-    """A fits file of them, over z."""
-    attrs = {"title": "scan", "dataset": "scan", "not_recorded": "exposure", "preferred": "likelihood"}
-    ds = xr.Dataset(attrs=attrs)
-    ds["z_m"] = ("z_m", Z, {"units": "m", "long_name": "z_m"})
-    ds["centring"] = ("centring", ["light"], {"units": "1", "long_name": "centring"})
-    ds["fit"] = ("fit", ["likelihood"], {"units": "1", "long_name": "fit"})
-    dims, shape = ("angle", "exposure", "repeat", "z_m", "centring", "fit"), (1, 1, 1, len(Z), 1, 1)
-    mean = (spots.major + spots.minor) / 2, np.hypot(spots.major_stderr, spots.minor_stderr) / 2
-    names = [f"{name}{suffix}" for suffix in ("", "_stderr") for name in WIDTH_PARAMETERS]
-    for name, values in zip([*names, "sigma_mean", "sigma_mean_stderr"], [*vars(spots).values(), *mean], strict=True):
-        ds[name] = (dims, values.reshape(shape), {"units": "pixel", "long_name": name})
-    ds["status"] = (dims, np.zeros(shape, "i4"), store.status_attributes())
-    return ds
-
-
-INSTRUMENT = Instrument(conditions=("z_m",), laser=Laser(wavelength_m=WAVELENGTH), sensor=Sensor(pixel_pitch_m=PITCH))
-
-
 def beam_of(spots: SpotWidths) -> xr.Dataset:
     """Return the caustic by the fit, or the reason why there is none."""
-    found = compute_caustic(scan(spots), INSTRUMENT)
+    found = compute_caustic(fits_of_scan(Z, spots), INSTRUMENT)
     return found if "skipped" in found.attrs else found.sel(estimator="fit")
 
 

@@ -4,18 +4,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck.crops.cropping import CENTRINGS, crop_spots
-from spotcheck.crops.ingest import ingest_frames
+from spotcheck.crops.cropping import CENTRINGS
 from spotcheck.dataset.instrument import Instrument, ModelChoice
-from spotcheck.fitting import width_law
 from spotcheck.fitting.calibration import calibrate
 from spotcheck.fitting.crop_fits import FITS, fit_crops, read_fit_in_crop, select_preferred_fits
 from spotcheck.fitting.fit_results import NAMES
 from spotcheck.fitting.width_law import WidthLaw, find_peak, fit_simulated_widths, regress_widths, render_spot
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline
-from spotcheck.sensor import ReadingDistribution, SensorModel
-from tests.samples.small_datasets import SENSOR, gaussian, loaded, noisy
+from spotcheck.sensor import ReadingDistribution
+from tests.samples.small_datasets import SENSOR, crops_of, gaussian, loaded, noisy
 
 EXPOSURES = np.array([1e-4, 5e-4, 9e-4])
 
@@ -57,15 +55,14 @@ def fits_of(width: np.ndarray, exposures=EXPOSURES, status=None) -> xr.Dataset:
     ds["fit"] = ("fit", np.array(list(FITS), dtype=object))
     if exposures is not None:
         ds["exposure"] = ("exposure", exposures)
-    both = {"likelihood": 3 * width + 1, "least_squares": width}
-    ds["sigma_mean"] = (dims, np.repeat(np.stack([both[name] for name in FITS], -1)[..., None, :], 2, -2))
     state = np.zeros(width.shape, "i4") if status is None else status
-    both = {"likelihood": np.zeros_like(state), "least_squares": state}
-    ds["status"] = (dims, np.repeat(np.stack([both[name] for name in FITS], -1)[..., None, :], 2, -2))
+    # In the order of `FITS`: likelihood, least squares.
+    for name, both in (("sigma_mean", (3 * width + 1, width)), ("status", (np.zeros_like(state), state))):
+        ds[name] = (dims, np.repeat(np.stack(both, -1)[..., None, :], 2, -2))
     return ds
 
 
-def crops_of(shape) -> xr.Dataset:
+def empty_crops(shape) -> xr.Dataset:
     """Crops without a usable pixel: the averages need none."""
     ds = xr.Dataset()
     ds["centring"] = ("centring", np.array(CENTRINGS, dtype=object))
@@ -81,17 +78,16 @@ def test_averages_over_repeats_angles_and_sites():
     p = rng.normal([[[2.5, 34.0]]], [[[0.3, 1.2]]], (4, 5, 2))  # angle, repeat, (p1, p2)
     width = p[:, None, :, 0] * np.log(EXPOSURES)[None, :, None] + p[:, None, :, 1]
     width[2, :, 4] = np.nan  # a site without fits
-    ds = calibrate(crops_of(width.shape), fits_of(width), Instrument(), None).sel(estimator="regression")
+    ds = calibrate(empty_crops(width.shape), fits_of(width), Instrument(), None).sel(estimator="regression")
     p[2, 4] = np.nan
-    for k, name in enumerate(("p1", "p2")):
-        own = p[..., k]
-        np.testing.assert_allclose(ds[name], own, rtol=1e-9)
-        np.testing.assert_allclose(ds[f"{name}_mean"], np.nanmean(own), rtol=1e-9)
-        np.testing.assert_allclose(ds[f"{name}_sd_all"], np.nanstd(own, ddof=1), rtol=1e-9)
-        np.testing.assert_allclose(ds[f"{name}_stderr"], np.nanstd(own, ddof=1) / np.sqrt(19), rtol=1e-9)
-        np.testing.assert_allclose(ds[f"{name}_by_angle"], np.nanmean(own, axis=1), rtol=1e-9)
-        np.testing.assert_allclose(ds[f"{name}_sd_repeats"], np.nanstd(own, axis=1, ddof=1), rtol=1e-9)
-        np.testing.assert_allclose(ds[f"{name}_sd_angles"], np.std(np.nanmean(own, axis=1), ddof=1), rtol=1e-9)
+    for name, values in zip(("p1", "p2"), np.moveaxis(p, -1, 0), strict=True):
+        by_angle, sd = np.nanmean(values, axis=1), np.nanstd(values, ddof=1)
+        for suffix, want in (
+            ("", values), ("_mean", np.nanmean(values)), ("_sd_all", sd), ("_stderr", sd / np.sqrt(19)),
+            ("_by_angle", by_angle), ("_sd_repeats", np.nanstd(values, axis=1, ddof=1)),
+            ("_sd_angles", np.std(by_angle, ddof=1)),
+        ):  # fmt: skip
+            np.testing.assert_allclose(ds[name + suffix], want, rtol=1e-9, err_msg=suffix)
     assert np.isnan(ds["peak"]) and int(ds["likelihood_converged"]) == 0
 
 
@@ -102,7 +98,7 @@ def test_flagged_widths_are_left_out(name):
     width[0, 0, 1] = 90.0
     status = np.zeros(width.shape, "i4")
     status[0, 0, 1] = store.flag(name)
-    ds = calibrate(crops_of(width.shape), fits_of(width, status=status), Instrument(), None)
+    ds = calibrate(empty_crops(width.shape), fits_of(width, status=status), Instrument(), None)
     np.testing.assert_allclose(ds["p1"].sel(estimator="regression"), [[1.0, 1.0]], rtol=1e-9)
 
 
@@ -117,7 +113,7 @@ SKIPPED = {
 @pytest.mark.parametrize(("fits", "given", "reason"), SKIPPED.values(), ids=SKIPPED)
 def test_what_the_design_does_not_support_is_skipped_with_its_reason(fits, given, reason):
     """The reason stands in the attributes, and the file holds no number."""
-    ds = calibrate(crops_of(fits["status"].shape[:3]), fits, given, None)
+    ds = calibrate(empty_crops(fits["status"].shape[:3]), fits, given, None)
     assert reason in ds.attrs["skipped"] and not ds.data_vars
 
 
@@ -160,24 +156,22 @@ def test_the_whole_stage_on_frames_of_the_model(tmp_path):
     p1, p2, peak = 0.6, 10.0, 700.0
     sigma = p1 * np.log(EXPOSURES) + p2
     amplitude = peak * (EXPOSURES / sigma**2) / (EXPOSURES / sigma**2)[-1]
-    images, times = [], []
-    for k, t in enumerate(EXPOSURES):
-        images.append(noisy(gaussian(110, amplitude[k], 52.4, 58.7, sigma[k]), k, SENSOR, t))
-        times.append(float(t))
-    ds = loaded(tmp_path / "d", images, "crop_px: 60\nsensor: {bit_depth: 10, black_level_dn: 40}", times)
-    crop_spots(ds, ingest_frames(ds), tmp_path / "crops.nc", code="c", inputs=[])
-    with store.read(tmp_path / "crops.nc") as own:
-        fits = fit_crops(own, SENSOR)
-        out = calibrate(own, fits, ds.instrument, SENSOR)
-        for k, name in enumerate(FITS):
-            cell = dict(zip(("angle", "exposure", "repeat", "centring"), (0, 2, 0, 0), strict=True))
-            again, stored = read_fit_in_crop(fits.isel(fit=k), own, cell), fits.sel(fit=name).isel(cell)
-            shift = np.zeros(8)
-            shift[1], shift[2] = int(own["left"].isel(cell)), int(own["top"].isel(cell))
-            np.testing.assert_allclose(again.value + shift, [float(stored[n]) for n in NAMES], rtol=1e-12)
-            np.testing.assert_array_equal(again.stderr, [float(stored[f"{n}_stderr"]) for n in NAMES])
-            assert (again.chi2_reduced, again.status) == (float(stored["chi2_reduced"]), int(stored["status"]))
-        flat = fit_crops(own, SENSOR, top_hat=True)
+    spots = zip(EXPOSURES, amplitude, sigma, strict=True)
+    images = [noisy(gaussian(110, a, 52.4, 58.7, s), k, SENSOR, t) for k, (t, a, s) in enumerate(spots)]
+    sheet = "crop_px: 60\nsensor: {bit_depth: 10, black_level_dn: 40}"
+    ds = loaded(tmp_path / "d", images, sheet, EXPOSURES.tolist())
+    crops = crops_of(ds)
+    fits = fit_crops(crops, SENSOR)
+    out = calibrate(crops, fits, ds.instrument, SENSOR)
+    cell = {"angle": 0, "exposure": 2, "repeat": 0, "centring": 0}
+    for k in range(len(FITS)):
+        again, stored = read_fit_in_crop(fits.isel(fit=k), crops, cell), fits.isel(cell | {"fit": k})
+        shift = np.zeros(8)
+        shift[1], shift[2] = int(crops["left"].isel(cell)), int(crops["top"].isel(cell))
+        np.testing.assert_allclose(again.value + shift, [float(stored[n]) for n in NAMES], rtol=1e-12)
+        np.testing.assert_array_equal(again.stderr, [float(stored[f"{n}_stderr"]) for n in NAMES])
+        assert (again.chi2_reduced, again.status) == (float(stored["chi2_reduced"]), int(stored["status"]))
+    flat = fit_crops(crops, SENSOR, top_hat=True)
     # The instrument's top hat is in the likelihood; the paper's estimator fits a Gaussian to whatever it sees.
     xr.testing.assert_identical(flat.sel(fit="least_squares"), fits.sel(fit="least_squares"))
     assert (np.abs(flat["sigma_mean"] / fits["sigma_mean"] - 1).sel(fit="likelihood") > 0.01).all()
@@ -198,27 +192,17 @@ def test_the_whole_stage_on_frames_of_the_model(tmp_path):
     assert abs(float(out["p1_mean"].sel(estimator="regression")) - p1) < 4 * np.sqrt((weight**2 * error**2).sum())
 
 
-def test_widths_come_with_no_sensor_as_well():
-    """Without gain and read noise the regression still runs and the likelihood stays blank."""
-    width = np.full((2, 3, 2), 10.0) + np.log(EXPOSURES)[None, :, None]
-    ds = calibrate(crops_of(width.shape), fits_of(width), Instrument(), None)
-    assert float(ds["p1_mean"].sel(estimator="regression")) == pytest.approx(1.0)
-    assert np.isnan(float(ds["p1_mean"].sel(estimator="likelihood")))
-    assert isinstance(SENSOR, SensorModel) and width_law.regress_widths is regress_widths
-
-
 def test_fits_of_a_sensor_that_is_unknown_and_of_an_empty_frame(tmp_path):
     """Least squares alone, preferred, with the reason in the other's flags; no fit of a frame without light."""
     dark = np.full((110, 110), 40, np.uint16)
     ds = loaded(tmp_path / "d", [noisy(gaussian(110, 600.0, 52.4, 58.7, 6.0), 1), dark], "crop_px: 60")
-    crop_spots(ds, ingest_frames(ds), tmp_path / "crops.nc", code="c", inputs=[])
-    with store.read(tmp_path / "crops.nc") as own:
-        fits = store.check(fit_crops(own, None), "fits")
-        cell = {"angle": 0, "exposure": 0, "repeat": 0, "centring": 0}
-        assert read_fit_in_crop(fits.sel(fit="likelihood"), own, cell) is None
-        assert read_fit_in_crop(fits.sel(fit="least_squares"), own, cell | {"repeat": 1}) is None
-        known = read_fit_in_crop(fits.sel(fit="least_squares"), own, cell)
-        assert known.value[7] == pytest.approx(6.0, abs=0.05) and np.isnan(known.chi2_reduced) and known.status == 0
+    crops = crops_of(ds)
+    fits = store.check(fit_crops(crops, None), "fits")
+    cell = {"angle": 0, "exposure": 0, "repeat": 0, "centring": 0}
+    assert read_fit_in_crop(fits.sel(fit="likelihood"), crops, cell) is None
+    assert read_fit_in_crop(fits.sel(fit="least_squares"), crops, cell | {"repeat": 1}) is None
+    known = read_fit_in_crop(fits.sel(fit="least_squares"), crops, cell)
+    assert known.value[7] == pytest.approx(6.0, abs=0.05) and np.isnan(known.chi2_reduced) and known.status == 0
     assert fits.attrs["preferred"] == "least_squares" and select_preferred_fits(fits)["fit"].item() == "least_squares"
     assert (fits["status"].sel(fit="likelihood") & store.flag("no_noise")).all()
     assert not (fits["status"].sel(fit="least_squares") & store.flag("no_noise")).any()

@@ -4,17 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from scipy import integrate
 from scipy.stats import norm, poisson
 
 from spotcheck.fitting import bounds, fisher
-from spotcheck.model.baseline import Baseline, jacobian
-from spotcheck.model.conditions import FrameConditions, crop_grid
-from spotcheck.model.forward import ForwardModel
+from spotcheck.model.baseline import jacobian
 from spotcheck.model.spot import elliptical_gaussian
-from spotcheck.sensor import ReadingDistribution, SensorModel
-from tests.samples.model_files import applied
-from tests.samples.small_datasets import gaussian
+from spotcheck.sensor import SensorModel
 
 MEANS = [0.3, 4.0, 60.0]
 
@@ -35,13 +30,6 @@ def test_density_with_read_noise(mean, read, shift):
     second = np.trapezoid(density * (z - first) ** 2, z)
     # Trapezoids of a sum of Gaussians that are wider than 20 steps are exact; beyond 10 sd lies < 1e-8 (Poisson tail).
     assert (total, first, second) == pytest.approx((1, mean + shift, mean + read**2), rel=1e-6)
-
-
-def test_density_with_read_noise_is_the_sum_it_says():
-    """Eq. 30 at one point, as a plain sum of Poisson weights times normal densities."""
-    z, mean, read = 5.3, 6.0, 1.5
-    want = sum(math.exp(-mean) * mean**k / math.factorial(k) * norm.pdf(z - k, scale=read) for k in range(60))
-    assert math.exp(float(fisher.log_density(z, mean, read))) == pytest.approx(want, rel=1e-9)
 
 
 @pytest.mark.parametrize("mean", MEANS)
@@ -89,15 +77,6 @@ def test_three_forms_of_the_information_agree():
     from_slopes = fisher.information(jacobian(lambda a, s: np.array([pixel((a, s))]), theta), np.array([1 / mean]))
     np.testing.assert_allclose(fisher.information_from_scores(scores, p), from_slopes, rtol=1e-10)
     np.testing.assert_allclose(fisher.information_from_curvature(second, p), from_slopes, rtol=1e-6, atol=1e-9)
-
-
-def test_information_adds_over_pixels():
-    """Eqs. 33, 34 and 37: an image's information is the sum of its pixels'."""
-    rng = np.random.default_rng(2)
-    slopes, mean = rng.normal(size=(3, 5, 4)), rng.uniform(1, 9, (5, 4))
-    whole = fisher.information(slopes, fisher.poisson_information(mean))
-    each = sum(np.outer(slopes[:, i, j], slopes[:, i, j]) / mean[i, j] for i in range(5) for j in range(4))
-    np.testing.assert_allclose(whole, each, rtol=1e-12)
 
 
 def exact_information(mean: float, read: float) -> float:
@@ -155,32 +134,6 @@ def test_read_noise_and_dark_current_cost_information():
     clean = bounds.compute_peak_bounds(500.0, 6.0, 1e-4, SensorModel(0.11, 0.0), 61)[0]
     for worse in (SensorModel(0.11, 5.0), SensorModel(0.11, 0.0, 1e5)):
         assert (bounds.compute_peak_bounds(500.0, 6.0, 1e-4, worse, 61)[0] > 1.01 * clean).all()
-
-
-def test_an_estimator_meets_the_bound():
-    """Eq. 38: the mean of Poisson counts, the efficient estimator of ν, scatters by just the bound over 4000 trials."""
-    mean, pixels, trials = 40.0, 25, 4000
-    matrix = fisher.information(np.ones((1, pixels)), fisher.poisson_information(np.full(pixels, mean)))
-    estimates = np.random.default_rng(9).poisson(mean, (trials, pixels)).mean(axis=1)
-    # Standard error of a variance √(2/n); five of them: false alarm 6e-7.
-    assert estimates.var() == pytest.approx(fisher.cramer_rao_bounds(matrix)[0], rel=5 * math.sqrt(2 / trials))
-
-
-def test_bounds_are_the_diagonal_of_the_inverse():
-    """Eq. 38 by hand for a 2 × 2 matrix: I_22/det and I_11/det."""
-    np.testing.assert_allclose(fisher.cramer_rao_bounds(np.array([[4.0, 2.0], [2.0, 3.0]])), [3 / 8, 4 / 8], rtol=1e-12)
-
-
-def test_information_of_a_gaussian_by_integral():
-    """Eq. 37: the sum over pixels is the integral 2π ∫ (r²/σ³)² ν r dr for σ, with its closed value 8N/σ²."""
-    sigma, peak = 5.0, 30.0
-    light = gaussian(101, peak, 50, 50, sigma)
-    slopes = jacobian(lambda s: peak * np.exp(-R2 / (2 * s * s)), (sigma,))
-    got = fisher.information(slopes, 1 / np.maximum(light, 1e-300))[0, 0]
-    whole, _ = integrate.quad(
-        lambda r: 2 * np.pi * r * (r**2 / sigma**3) ** 2 * peak * np.exp(-(r**2) / 2 / sigma**2), 0, 60
-    )
-    assert got == pytest.approx(whole, rel=1e-6) and got == pytest.approx(8 * 2 * np.pi * peak, rel=1e-6)
 
 
 def ellipse(side: int):
@@ -245,31 +198,6 @@ def test_bounds_of_another_package(read):
     np.testing.assert_allclose(exact, PICASSO[read], rtol=0.02)
 
 
-@pytest.mark.parametrize("read", [0.0, 13.0])
-@pytest.mark.parametrize("mean", [3.0, 25.0, 400.0, 5000.0])
-def test_information_of_a_reading_far_from_the_clips(mean, read):
-    """Eq. 34 for a fine converter whose clips are out of reach: that of electrons with read noise, Eq. 30.
-
-    2 %: linear interpolation in `read_noise_information`, and the rounding of a tenth of an electron.
-    """
-    sensor = SensorModel(10.0, read, black_level_dn=2000.0)
-    got = float(fisher.reading_information(np.array([mean]), sensor)[0])
-    want = 1 / mean if read == 0 else float(fisher.read_noise_information(np.array([mean]), read)[0])
-    assert got == pytest.approx(want, rel=0.02)
-
-
-@pytest.mark.parametrize("noise", [0.5, 1.5, 13.0])
-def test_information_of_electrons_with_read_noise(noise):
-    """Eq. 34 by its quadrature, at nodes of its interpolation, against the exact distribution of a fine converter.
-
-    Rounding to σ/20 adds 2e-4 of σ².
-    """
-    sensor = SensorModel(20 / noise, noise, black_level_dn=180.0)
-    for mean in (1.0, 10.0):
-        exact = ReadingDistribution(sensor).fisher_information(mean * sensor.gain_dn_per_e) * sensor.gain_dn_per_e**2
-        assert float(fisher.read_noise_information(mean, noise)) == pytest.approx(float(exact), rel=4e-4)
-
-
 @pytest.mark.parametrize("excess", [-4.0, -1.0, 0.0, 1.0, 2.5])
 def test_information_of_a_reading_at_full_scale(excess):
     """Censored normal law with mean `excess` standard deviations above full scale: (Φ(a) − φ(a)(a − φ(a)/Q(a)))/s².
@@ -306,31 +234,3 @@ def test_information_on_parameters_of_the_sensor():
     one, none = np.ones(count), np.zeros(count)
     matrix = fisher.information_of_moments(noise * one, np.stack([one, none]), np.stack([none, one]))
     np.testing.assert_allclose(fisher.cramer_rao_bounds(matrix), [noise / count, 2 * noise**2 / count], rtol=1e-12)
-
-
-def test_information_on_the_read_noise_of_a_spot():
-    """Read noise and peak as parameters of the forward model, against the closed form of a linear sensor.
-
-    The mean is black level + L and the variance V = K L + K² σ² + 1/12. Tables of readings are interpolated, and the
-    read noise is differentiated through two of them: 1e-4 of the largest entry.
-    """
-    gain, noise, peak = 0.11, 13.0, 88.0
-    grid = crop_grid(range(41), range(41), 41, 41)
-    frame = FrameConditions(grid, 20.0, 20.0, 1e-3, 1e-3, 1e-3, peak_dn=peak, sigma_px=5.0)
-    excess = applied("excess_read_noise", total=noise)
-    sensor = SensorModel(gain, 10.0, black_level_dn=60.0, full_scale_dn=1023.0)
-    model = ForwardModel(Baseline(0.0, "free", False, 1e-3), sensor, None, (excess,))
-    slopes = model.jacobian(frame, ["excess_read_noise.total", "peak_dn"])
-    matrix = fisher.information_of_moments(model.expected(frame).variance, *slopes)
-    light = gaussian(41, peak, 20.0, 20.0, 5.0)
-    variance = gain * light + (gain * noise) ** 2 + 1 / 12
-    mean_slopes = np.stack([0 * light, light / peak])
-    variance_slopes = np.stack([2 * gain**2 * noise + 0 * light, gain * light / peak])
-    for i in range(2):
-        for j in range(2):
-            want = np.sum(mean_slopes[i] * mean_slopes[j] / variance)
-            want += np.sum(variance_slopes[i] * variance_slopes[j] / (2 * variance**2))
-            assert matrix[i, j] == pytest.approx(want, rel=1e-4, abs=1e-4 * matrix.max())
-
-
-R2 = (np.mgrid[-50:51, -50:51] ** 2).sum(axis=0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from spotcheck.fitting.fit_results import PARAMETERS, SpotFits
+from spotcheck.fitting.fit_results import SpotFits
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.io import store
 from tests.samples.example_datasets import CAMERA
@@ -33,12 +33,14 @@ def test_parameters_by_name(fits):
     for k, name in enumerate(fits.parameters):
         assert np.array_equal(getattr(fits, name), fits.value[:, k], equal_nan=True)
         assert np.array_equal(getattr(fits, f"{name}_stderr"), fits.stderr[:, k], equal_nan=True)
-        assert PARAMETERS[name][1] in getattr(SpotFits, f"{name}_stderr").__doc__
+        assert {name, f"{name}_stderr"} <= set(dir(fits))
     for name in fits.parameters[:7]:
         variance = getattr(fits, f"{name}_stderr") ** 2
         np.testing.assert_allclose(fits.covariance_of(name, name), variance, rtol=1e-12)
     assert np.array_equal(fits.covariance_of("offset", "amplitude"), fits.covariance[:, 6, 0], equal_nan=True)
     np.testing.assert_allclose(fits.sigma_major[:12], 6, rtol=0.02)
+    with pytest.raises(AttributeError, match="no attribute 'sigma'; the parameters are amplitude, x_centre"):
+        _ = fits.sigma
 
 
 def test_status_by_name_and_as_flags(fits):
@@ -79,24 +81,17 @@ def test_masked_pixels_are_left_out(images):
 
 
 BAD_FITS = {
-    "row": (lambda: fit_spots([np.zeros(5)], CAMERA), "images: number 0 has the shape (5,); each must be"),
-    "cube": (lambda: fit_spots(np.zeros((2, 2, 3, 3)), CAMERA), "images: number 0 has the shape (2, 3, 3)"),
-    "no sensor": (
-        lambda: fit_spots(np.zeros((9, 9))),
-        "sensor: the likelihood needs a gain and a read noise",
-    ),
-    "gain": (
-        lambda: fit_spots([], replace(CAMERA, gain_dn_per_e=0)),
-        "sensor: gain_dn_per_e is 0; it must be",
-    ),
-    "noise": (lambda: fit_spots([], replace(CAMERA, read_noise_e=np.nan)), "sensor: read_noise_e is nan; it"),
+    "row": ([np.zeros(5)], {}, "images: number 0 has the shape (5,); each must be"),
+    "cube": (np.zeros((2, 2, 3, 3)), {}, "images: number 0 has the shape (2, 3, 3)"),
+    "gain": ([], {"gain_dn_per_e": 0}, "sensor: gain_dn_per_e is 0; it must be"),
+    "noise": ([], {"read_noise_e": np.nan}, "sensor: read_noise_e is nan; it"),
 }
 
 
-@pytest.mark.parametrize(("call", "words"), BAD_FITS.values(), ids=BAD_FITS)
-def test_what_cannot_be_fitted_is_said(call, words):
+@pytest.mark.parametrize(("images", "change", "words"), BAD_FITS.values(), ids=BAD_FITS)
+def test_what_cannot_be_fitted_is_said(images, change, words):
     with pytest.raises(ValueError, match=re.escape(words)):
-        call()
+        fit_spots(images, replace(CAMERA, **change))
 
 
 @pytest.mark.parametrize("which", [slice(None), 0, slice(0, 0)], ids=["many", "one", "none"])

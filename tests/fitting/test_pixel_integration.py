@@ -6,21 +6,18 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from spotcheck.crops.cropping import crop_spots
-from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset.folder import load
 from spotcheck.errors import InputError
 from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.fitting.likelihood import SiteFrame, fit_baseline
 from spotcheck.fitting.width_law import WidthLaw, fit_simulated_widths
-from spotcheck.io import store
 from spotcheck.model.baseline import Baseline, build_baseline
 from spotcheck.model.conditions import PixelGrid
 from spotcheck.model.forward import ForwardModel
 from spotcheck.sensor import SensorModel
 from tests.reference.numpy_chain import draw
 from tests.samples.effect_cases import applied, free_frame, of
-from tests.samples.small_datasets import folder, loaded
+from tests.samples.small_datasets import crops_of, folder, loaded
 
 SIDE = 33
 SENSOR = SensorModel(0.3, 4.0, black_level_dn=50.0, full_scale_dn=65535.0)
@@ -72,21 +69,17 @@ def test_a_fit_gives_the_width_of_the_light(tmp_path, sigma):
     sheet = "sensor: {bit_depth: 16, gain_dn_per_e: 0.3, read_noise_e: 4, black_level_dn: 50}\ncrop_px: 33\n"
     dataset = loaded(tmp_path, frames, sheet + KEY)
     assert dataset.instrument.optics.pixel_integration
-    crop_spots(dataset, ingest_frames(dataset), tmp_path / "crops.nc", code="", inputs=[])
-    with store.read(tmp_path / "crops.nc") as images:
-        for integrated, truth in ((True, sigma), (False, np.hypot(sigma, 12**-0.5))):
-            own = select_preferred_fits(fit_crops(images, SENSOR, integrated=integrated))["sigma_mean"].values.ravel()
-            error = own.std(ddof=1) / np.sqrt(own.size)
-            assert abs(own.mean() - truth) < 4 * error + 2e-3 * truth, (integrated, own.mean(), error)
+    crops = crops_of(dataset)
+    for integrated, truth in ((True, sigma), (False, np.hypot(sigma, 12**-0.5))):
+        widths = select_preferred_fits(fit_crops(crops, SENSOR, integrated=integrated))["sigma_mean"].values.ravel()
+        error = widths.std(ddof=1) / np.sqrt(widths.size)
+        assert abs(widths.mean() - truth) < 4 * error + 2e-3 * truth, (integrated, widths.mean(), error)
 
 
 def test_calibration_gives_the_law_of_the_light():
     """Five sites at four exposures: p1 and p2 by the joint likelihood within 1e-3 px beside four standard errors."""
-    rng, times, baseline = (
-        np.random.default_rng(9),
-        (1e-4, 2e-4, 4e-4, 8e-4),
-        replace(INTEGRATED, photon_budget="linear", longest_s=8e-4),
-    )
+    rng, times = np.random.default_rng(9), (1e-4, 2e-4, 4e-4, 8e-4)
+    baseline = replace(INTEGRATED, photon_budget="linear", longest_s=8e-4)
     p1, p2, peak, frames, centres = 0.25, 3.4, 2500.0, [], []
     for site in range(5):
         centres.append(16 + rng.uniform(-0.5, 0.5, 2))

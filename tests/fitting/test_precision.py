@@ -17,11 +17,10 @@ from spotcheck.fitting.precision import (
     pool_ratios,
     summarize_precision,
 )
-from spotcheck.fitting.spotfit import fit_spots
+from spotcheck.fitting.spot_bounds import spot_bounds
 from spotcheck.io import store
 from spotcheck.model.baseline import Baseline
 from spotcheck.sensor import SensorModel
-from tests.reference.numpy_chain import draw
 
 SENSOR = SensorModel(0.11, 13.0, 70.0, full_scale_dn=1023.0)
 EXPOSURES = np.array([1e-4, 5e-4, 9e-4])
@@ -50,13 +49,9 @@ def fits_of(excess: float, frames: int = FRAMES, flagged: int = 0) -> xr.Dataset
 
 def calibration_of(p1: float, p2: float, peak: float) -> xr.Dataset:
     """A calibration with these three numbers."""
-    one = ("estimator", [1.0])
-    ds = xr.Dataset(
-        {name: one for name in ("p1_mean", "p2_mean", "peak")}, coords={"estimator": [SIMULATION_ESTIMATOR]}
-    )
-    for name, value in (("p1_mean", p1), ("p2_mean", p2), ("peak", peak)):
-        ds[name] = ds[name] * value
-    return ds
+    values = {"p1_mean": p1, "p2_mean": p2, "peak": peak}
+    data = {name: ("estimator", [value]) for name, value in values.items()}
+    return xr.Dataset(data, {"estimator": [SIMULATION_ESTIMATOR]})
 
 
 def found(excess=(1.0, 1.0), sensor=SENSOR, calibration=None, **options) -> xr.Dataset:
@@ -119,24 +114,12 @@ def test_frame_bounds_against_the_closed_form():
 
 @pytest.mark.parametrize("top_hat", [False, True])
 @pytest.mark.parametrize("full_scale", [1023.0, 400.0])
-def test_the_fit_reaches_the_bound_of_a_frame(top_hat, full_scale):
-    """Scatter of 150 fits of the plain chain's frames over the bound, clipped (400 DN) or not.
-
-    Four standard errors of a standard deviation, 4/√(2·149) = 23 %; false alarm 6e-5 each of 16.
-    """
-    baseline = Baseline(0.0, "linear", top_hat, 1e-3)
-    sensor = replace(SENSOR, full_scale_dn=full_scale)
-    side, amplitude, sigma = 101, 600.0, 9.0
-    pixel = np.arange(side, dtype=float)
-    light = baseline.declared_light(pixel[None, :], pixel[:, None], amplitude, side // 2, side // 2, sigma)
-    rng = np.random.default_rng(8)
-    images = [draw(light, 1e-3, sensor, rng) for _ in range(150)]
-    fits = fit_spots(images, sensor, top_hat=top_hat)
-    assert (fits.status == "ok").all()
-    scatter = fits.value[:, [0, 1, 2, 7]].std(axis=0, ddof=1)
-    bound = compute_frame_bounds(baseline, amplitude, sigma, 1e-3, sensor, side)[:4]
-    np.testing.assert_allclose(scatter / bound, 1.0, atol=0.23)
-    np.testing.assert_allclose(np.median(fits.stderr[:, [0, 1, 2, 7]], axis=0) / bound, 1.0, atol=0.02)
+def test_frame_bounds_are_those_of_a_round_spot(top_hat, full_scale):
+    """Those of `spot_bounds`, which fits reach, clipped (400 DN) or not; the mean width is that of a round spot."""
+    baseline, sensor = Baseline(0.0, "linear", top_hat, 1e-3), replace(SENSOR, full_scale_dn=full_scale)
+    got = compute_frame_bounds(baseline, 600.0, 9.0, 1e-3, sensor, 101)
+    spot = spot_bounds(sensor, (101, 101), amplitude=600.0, sigma_major=9.0, exposure_s=1e-3, top_hat=top_hat)
+    np.testing.assert_allclose(got, [spot.amplitude, spot.x_centre, spot.y_centre, spot.sigma_mean, spot.offset], 1e-6)
 
 
 def test_the_bound_stops_falling_where_the_sensor_saturates():

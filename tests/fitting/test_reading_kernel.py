@@ -1,7 +1,6 @@
 """The compiled kernel of the spot fit: against its approximation in plain numpy, and its distance to the exact law."""
 
-from dataclasses import dataclass
-from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from spotcheck.fitting.reading_kernel import (
     ReadingLaw,
     build_reading_law,
     compute_row_variances,
-    find_clipping_onset,
     score_row_by_likelihood,
 )
 from spotcheck.sensor import ReadingDistribution, SensorModel
@@ -66,29 +64,6 @@ def assert_equal(got, want: list[Pixel], electrons: np.ndarray, tables: Tables, 
     np.testing.assert_allclose(got[2], chi2, rtol=RELATIVE, atol=RELATIVE, err_msg=str(what))
 
 
-def assert_kernel_is_numpy(sensor: SensorModel, rng: np.random.Generator, count: int) -> None:
-    """Compare the kernel with plain numpy for some pixels of a sensor."""
-    tables, law = tables_of(sensor), build_reading_law(sensor)
-    assert law.highest_level == tables.highest
-    readings, electrons = some_pixels(sensor, tables, rng, count)
-    want = [one_pixel(float(y), float(nu), tables) for y, nu in zip(readings, electrons, strict=True)]
-    assert_equal(by_kernel(readings, electrons, law), want, electrons, tables, sensor)
-
-
-GAINS, NOISES, BLACKS = (0.02, 0.11, 0.5, 2.0, 10.0), (0.0, 0.3, 2.0, 13.0), (0.0, 5.3, 40.0)
-# Full scale [DN] and full well [DN].
-CLIPS = ((np.inf, np.inf), (255.0, np.inf), (np.inf, 170.0), (255.0, 170.0), (255.0, 215.0))
-
-
-@pytest.mark.parametrize("gain", GAINS)
-def test_the_kernel_is_its_numpy_version_on_a_grid(gain):
-    """Score, information and χ² to 1e-10 for all gains, read noises, black levels and clips."""
-    rng = np.random.default_rng(round(1000 * gain))
-    for noise, black, (full_scale, well) in product(NOISES, BLACKS, CLIPS):
-        sensor = SensorModel(gain, noise, black_level_dn=black, full_scale_dn=full_scale, full_well_e=well / gain)
-        assert_kernel_is_numpy(sensor, rng, 12)
-
-
 def random_sensor(rng: np.random.Generator) -> SensorModel:
     """Return any sensor: with and without read noise, clips and curvature, black levels below 0 too."""
     return SensorModel(
@@ -96,7 +71,7 @@ def random_sensor(rng: np.random.Generator) -> SensorModel:
         read_noise_e=rng.choice([0.0, *10 ** rng.uniform(-0.7, 1.3, 4)]),
         full_well_e=rng.choice([np.inf, 10 ** rng.uniform(1.5, 4)]),
         black_level_dn=rng.uniform(-5, 60),
-        full_scale_dn=float(rng.choice([255, 1023, 4095])),
+        full_scale_dn=rng.choice([255.0, 1023.0, 4095.0, np.inf]),
         response_bend=rng.choice([0.0, rng.uniform(-0.2, 0.2)]),
     )
 
@@ -105,30 +80,12 @@ def test_the_kernel_is_its_numpy_version_for_random_sensors():
     """Score, information and χ² to 1e-10 for 1,000 random sensors, each with 26 random pixels."""
     rng = np.random.default_rng(46)
     for _ in range(1000):
-        assert_kernel_is_numpy(random_sensor(rng).without_curvature(), rng, 7)
-
-
-def test_rows_without_clips_are_the_same():
-    """A row that the kernel takes as a whole, of bright light far from every clip, gives what its pixels give."""
-    rng = np.random.default_rng(5)
-    for _ in range(50):
         sensor = random_sensor(rng).without_curvature()
         tables, law = tables_of(sensor), build_reading_law(sensor)
-        top = find_clipping_onset(law)
-        if top <= law.highest_level:
-            continue
-        electrons = rng.uniform(law.highest_level, top, 40)
-        sd = sensor.gain_dn_per_e * np.sqrt(electrons + tables.noise)
-        readings = np.rint(sensor.black_level_dn + sensor.gain_dn_per_e * electrons + sd * rng.uniform(-3, 3, 40))
-        readings[3] = np.nan
-        score, weight = np.empty((2, 40))
-        chi2, used = score_row_by_likelihood(readings, electrons, True, 0, None, law, weight, score)
-        variance = electrons + tables.noise
-        residual = np.nan_to_num(tables.signal(readings) - electrons)
-        residual[3] = 0.0
-        np.testing.assert_allclose(score, residual / variance, rtol=RELATIVE, atol=RELATIVE * np.max(np.abs(score)))
-        np.testing.assert_allclose(weight, np.where(np.isnan(readings), 0.0, 1 / variance), rtol=RELATIVE)
-        assert chi2 == pytest.approx(np.sum(residual**2 / variance), rel=RELATIVE) and used == 39
+        assert law.highest_level == tables.highest
+        readings, electrons = some_pixels(sensor, tables, rng, 7)
+        want = [one_pixel(float(y), float(nu), tables) for y, nu in zip(readings, electrons, strict=True)]
+        assert_equal(by_kernel(readings, electrons, law), want, electrons, tables, sensor)
 
 
 @pytest.mark.parametrize("stderr", [(0.0, 0.0), (0.4, 0.02)], ids=["known", "uncertain"])
@@ -206,8 +163,7 @@ def lights_of(sensor: SensorModel) -> dict[str, np.ndarray]:
     }
 
 
-@dataclass(frozen=True)
-class Distance:
+class Distance(NamedTuple):
     """How far the kernel is from the exact distribution of a reading: the largest of each over some lights."""
 
     bias: float  # size of the expected score, in roots of the information without clips
@@ -256,13 +212,10 @@ def test_distance_from_the_exact_distribution(name):
     """No further than was measured and docs/fit.md says, in every regime of light."""
     sensor = CAMERAS[name]
     for regime, electrons in lights_of(sensor).items():
-        distance = distance_of(sensor, electrons)
         has_well = regime == "clip" and np.isfinite(sensor.full_well_e)
-        bias, loss, information = AT_THE_WELL if has_well else MEASURED[regime]
-        got = (distance.bias, distance.loss, distance.information)
-        assert distance.bias < bias, (regime, got)
-        assert distance.loss < loss, (regime, got)
-        assert distance.information < information, (regime, got)
+        limits = AT_THE_WELL if has_well else MEASURED[regime]
+        got = distance_of(sensor, electrons)[:3]
+        assert np.less(got, limits).all(), (regime, got)
 
 
 @pytest.mark.parametrize("name", FAINT_SENSORS)

@@ -7,15 +7,13 @@ import pytest
 import xarray as xr
 
 from spotcheck.cli import main
-from spotcheck.crops.cropping import crop_spots
-from spotcheck.crops.ingest import ingest_frames
 from spotcheck.fitting import scan_caustic
 from spotcheck.fitting.crop_fits import TOO_HIGH, TOO_LOW, fit_crops, select_preferred_fits
 from spotcheck.fitting.precision import summarize_precision
 from spotcheck.io import store
-from tests.fitting.test_caustic import PITCH, scan, tem00
 from tests.fitting.test_precision import found as precision_file
-from tests.samples.small_datasets import SENSOR, gaussian, loaded, noisy
+from tests.samples.scans import INSTRUMENT, PITCH, fits_of_scan, radius_of, round_spots
+from tests.samples.small_datasets import SENSOR, crops_of, gaussian, loaded, noisy
 
 SHEET = "crop_px: 60\nsensor: {bit_depth: 10, black_level_dn: 40, dark_current_e_per_s: 70"
 
@@ -28,10 +26,7 @@ def test_a_chi_square_far_from_one_is_flagged_and_said(tmp_path, gain, noise, wo
     """A spot of 0.11 DN/e- and 13 e-, fitted with that, with e-/DN for a gain, and with other noise."""
     frames = [noisy(gaussian(100, 900.0, 48.4, 51.7, 14.0), seed) for seed in (1, 2)]
     dataset = loaded(tmp_path, frames, SHEET + "}")
-    crop_spots(dataset, ingest_frames(dataset), tmp_path / "crops.nc", code="", inputs=[])
-    stated = replace(SENSOR, gain_dn_per_e=gain, read_noise_e=noise)
-    with store.read(tmp_path / "crops.nc") as images:
-        fits = fit_crops(images, stated)
+    fits = fit_crops(crops_of(dataset), replace(SENSOR, gain_dn_per_e=gain, read_noise_e=noise))
     own = select_preferred_fits(fits)
     flagged = (own["status"].values & store.flag("misfit")) > 0
     assert (flagged == bool(words)).all()
@@ -70,9 +65,8 @@ def test_crops_that_no_fit_was_made_of_are_said_with_the_reason(tmp_path, capsys
 def test_a_beam_better_than_a_gaussian_is_impossible(tmp_path, wrong_by, said):
     """The pixel pitch off by a factor: M² goes with its square, and below 1 the keys are named."""
     z = np.linspace(-0.3, 0.5, 9)
-    radius, _ = tem00(z, 120e-6, 0.1)
-    fits, instrument = scan(z, radius / 2 / PITCH / wrong_by * wrong_by**2)
-    found = scan_caustic.compute_caustic(fits, instrument)
+    spots = round_spots(radius_of(z, 120e-6, 0.1) / 2 / PITCH * wrong_by)
+    found = scan_caustic.compute_caustic(fits_of_scan(z, spots), INSTRUMENT)
     assert float(found["m2"].sel(estimator="fit", axis="mean")) == pytest.approx(wrong_by**2, rel=0.01)
     texts = store.remarks_of(found)
     assert len(texts) == said

@@ -12,9 +12,7 @@ from spotcheck.fitting.spot_score import EQUAL, LIKELIHOOD, VARIANCE, score_spot
 from spotcheck.model import spot
 from spotcheck.model.baseline import jacobian
 from spotcheck.sensor import SensorModel
-from tests.reference.exact_law import moments, reading_law
 from tests.reference.numpy_chain import draw
-from tests.reference.numpy_kernel import one_pixel, tables_of
 
 pytestmark = pytest.mark.filterwarnings("error")
 # A black level of 1000 DN would let nothing be faint but for its electrons: the spots below stand on 300 e- and more.
@@ -108,23 +106,6 @@ def test_likelihood_of_bright_light(natural, top_hat):
     assert used == np.isfinite(image).sum()
 
 
-@pytest.mark.parametrize("sensor", [FULL, WELL, FAINT], ids=["full scale", "full well", "faint"])
-@pytest.mark.parametrize("top_hat", [False, True])
-def test_likelihood_of_clipped_and_faint_light(sensor, top_hat):
-    """Σ s ∂µ and Σ i ∂µ ∂µᵀ of score and information of each pixel by the kernel's plain numpy version, in DN.
-
-    Over a spot these take in the faint table, full scale and the well at once.
-    """
-    natural = (250.0 if sensor is WELL else 300.0, 24.3, 18.6, 6.5, 4.8, 0.5, 0.0 if sensor is FAINT else 60.0)
-    image, kernel = seen(natural, sensor, top_hat), tables_of(sensor)
-    readings = np.nan_to_num(image.ravel())
-    electrons = kernel.signal(mean_of(*natural, top_hat=top_hat))
-    own = [one_pixel(float(y), float(nu), kernel) for y, nu in zip(readings, electrons, strict=True)]
-    score, weight = (np.array([getattr(pixel, name) for pixel in own]) for name in ("score", "information"))
-    gain = sensor.gain_dn_per_e
-    assert_is_sum(image, natural, LIKELIHOOD, sensor, top_hat, score / gain, weight / gain**2, 1e-10)
-
-
 @pytest.mark.parametrize("weighting", [LIKELIHOOD, VARIANCE])
 @pytest.mark.parametrize("sensor", [FULL, WELL, FAINT], ids=["full scale", "full well", "faint"])
 @pytest.mark.parametrize("top_hat", [False, True])
@@ -156,17 +137,6 @@ def pixel(y, electrons, sensor, weighting=LIKELIHOOD):
     theta = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 1.0, law.gain * electrons + law.black_level])
     score, information, chi2, used = score_spot(np.array([[float(y)]]), theta, weighting, law, False)
     return score[6] * law.gain, information[6, 6] * law.gain**2, chi2, used
-
-
-def pixels(readings, electrons, sensor):
-    """Score and information of each reading [2, reading]."""
-    return np.array([pixel(y, electrons, sensor)[:2] for y in readings]).T
-
-
-def slope_of(electrons, sensor, step):
-    """∂P(y | ν)/∂ν of every reading, by central differences of fourth order."""
-    ends = [reading_law(electrons + k * step, sensor) for k in (-2, -1, 1, 2)]
-    return np.array([1, -8, 8, -1]) @ ends / (12 * step)
 
 
 # Deviations between light and full scale, up to far beyond it.
@@ -210,123 +180,6 @@ def test_the_score_at_the_well_is_that_of_its_density(electrons):
         want = (log_density(signal, electrons + h) - log_density(signal, electrons - h)) / (2 * h)
         # 1e-4 of a deviation: steps of the quadrature and the differences.
         assert pixel(y, electrons, WELL)[0] * sd == pytest.approx(want * sd, abs=1e-4, rel=1e-4), y
-
-
-# Light [e-] and the largest expected score that is allowed, in deviations of it: what skewness leaves where a normal
-# law is clipped. Over a spot its sign changes, and 100 such pixels shift a parameter by a tenth of its error.
-CLIPPED = {
-    "full scale": (FULL, (480.0, 520.0, 545.0, 559.0, 575.0, 600.0, 640.0), 0.01),
-    "paper's full scale": (replace(FAINT, full_scale_dn=1023.0), (8800.0, 9100.0, 9300.0, 9500.0, 9800.0), 0.003),
-    "full well": (WELL, (440.0, 480.0, 520.0, 545.0, 560.0, 590.0, 620.0), 0.01),
-}
-
-
-@pytest.mark.parametrize(("sensor", "light", "most"), CLIPPED.values(), ids=CLIPPED)
-def test_the_expected_score_near_a_clip_is_0(sensor, light, most):
-    """Over every reading with its exact probability; the information is E[score²] and the slope of E[score]."""
-    for electrons in light:
-        law, slope = reading_law(electrons, sensor), slope_of(electrons, sensor, 0.1 * np.sqrt(electrons))
-        readings = np.flatnonzero(law)
-        law, slope = law[readings], slope[readings]
-        score, information = pixels(readings, electrons, sensor)
-        expected = law @ information
-        assert abs(law @ score) < most * np.sqrt(expected), electrons
-        # Of the information without a clip; at the well, where noise hides which pixels were cut, 10 % are too much.
-        share = 1 / (electrons + sensor.read_noise_e**2)
-        assert law @ score**2 == pytest.approx(expected, abs=(0.1 if sensor is WELL else 0.015) * share), electrons
-        assert slope @ score == pytest.approx(law @ score**2, abs=0.005 * share), electrons
-
-
-@pytest.mark.parametrize(("sensor", "light", "most"), CLIPPED.values(), ids=CLIPPED)
-def test_the_score_of_random_readings_near_a_clip_is_0_on_average(sensor, light, most):
-    """20 000 readings of the numpy chain for each light: within 4.5 standard errors of 0 beside the allowance above.
-
-    False alarm 7e-6 each, 1e-4 over all 19.
-    """
-    rng = np.random.default_rng(8)
-    for electrons in light:
-        drawn = draw(np.full(20_000, electrons * sensor.gain_dn_per_e), 0.0, sensor, rng)
-        values, count = np.unique(drawn, return_counts=True)
-        score, information = pixels(values, electrons, sensor)
-        sd = np.sqrt(count @ information / drawn.size)
-        assert abs(count @ score) / drawn.size < (most + 4.5 / np.sqrt(drawn.size)) * sd, electrons
-
-
-TABLES = {
-    "paper": FAINT,
-    "paper, black level 40": replace(FAINT, black_level_dn=40.0),
-    "quiet": SensorModel(0.5, 2.0, black_level_dn=2.0),
-    "many DN an electron": SensorModel(8.0, 1.0, black_level_dn=100.0),
-    "counting": SensorModel(1.0, 0.0),
-    "coarse": SensorModel(0.05, 0.5, black_level_dn=2.0),
-    "full scale in the table": SensorModel(4.0, 1.5, black_level_dn=10.0, full_scale_dn=60.0),
-}
-
-
-@pytest.mark.parametrize("sensor", TABLES.values(), ids=TABLES)
-def test_levels_of_the_faint_table(sensor):
-    """Score ∂ ln P/∂ν of each reading, Σ (∂P)²/P, and χ² by mean and variance, all from sums over every count."""
-    own = build_reading_law(sensor)
-    # From −5 read noises on; below, nearly all readings are 0 and differences of their chance have no digits.
-    lowest = max(np.ceil((-5 * sensor.read_noise_e - own.lowest_level) / own.step), 0)
-    for k in np.unique(np.linspace(lowest, own.inverse_information.size - 2, 7).astype(int)):
-        electrons = own.lowest_level + k * own.step
-        if abs(electrons) < own.step / 2:
-            continue  # Light of 0 is where both halves of the law meet: no slope by differences.
-        law = reading_law(electrons, sensor)
-        slope = slope_of(electrons, sensor, min(own.step, abs(electrons)) / 20)
-        # The table's last reading also stands for all above it, unless that is full scale.
-        readings = np.flatnonzero(law[: own.probability.shape[1] - (sensor.full_scale_dn == np.inf)] > 1e-13)
-        got = np.array([pixel(y, electrons, sensor) for y in readings]).T
-        want = slope[readings] / law[readings]
-        # Differences have rounding errors of 1e-16 / 1e-3 of a probability, and fourth-order ones.
-        likely = law[readings] > 1e-7
-        np.testing.assert_allclose(got[0][likely], want[likely], rtol=1e-4, atol=1e-4 * np.abs(want[likely]).max())
-        np.testing.assert_allclose(got[1], np.sum(want * slope[readings]), rtol=1e-4, atol=1e-12)
-        mean, variance, _ = moments(law)
-        np.testing.assert_allclose(got[2], (readings - mean) ** 2 / max(variance, 1 / 12), rtol=1e-5, atol=1e-5)
-
-
-BETWEEN = [*list(TABLES.values())[:5], SensorModel(2.0, 0.3, black_level_dn=100.0)]
-
-
-@pytest.mark.parametrize("sensor", BETWEEN)
-def test_between_levels_of_the_faint_table(sensor):
-    """By cubics: an expected score below 1e-3 of its deviation up to the end, an information within 2 %.
-
-    In the first step from 0, where the chance of a single electron decides, of the information its order alone.
-    """
-    own, rng = build_reading_law(sensor), np.random.default_rng(2)
-    near = rng.uniform(0.0, 2 * own.step, 4)
-    for electrons in [*rng.uniform(own.lowest_level / 2, own.highest_level + 3 * own.step, 12), *near]:
-        if -own.step < electrons < 0 or (electrons < 0 and sensor.read_noise_e == 0):
-            continue  # Levels on either side of 0 hold two laws, without and with electrons.
-        law = reading_law(electrons, sensor)
-        readings = np.flatnonzero(law > 1e-15)
-        law, (score, information) = law[readings], pixels(readings, electrons, sensor)
-        assert abs(law @ score) < 1e-3 * np.sqrt(law @ information), electrons
-        share = 0.5 if 0 < electrons < own.step else 0.02
-        assert law @ score**2 == pytest.approx(law @ information, rel=share), electrons
-
-
-@pytest.mark.parametrize(("sensor", "light", "_"), CLIPPED.values(), ids=CLIPPED)
-def test_variances_near_a_clip(sensor, light, _):
-    """Those of every reading with its exact probability, to 4 % of the variance without a clip; never below 1/12."""
-    for electrons in light:
-        want = max(moments(reading_law(electrons, sensor))[1], 1 / 12)
-        got = pixel(100, electrons, sensor, VARIANCE)[1] / sensor.gain_dn_per_e**2
-        free = sensor.gain_dn_per_e**2 * (electrons + sensor.read_noise_e**2)
-        assert got == pytest.approx(want, abs=0.04 * free), electrons
-
-
-@pytest.mark.parametrize("sensor", TABLES.values(), ids=TABLES)
-def test_variances_of_faint_light(sensor):
-    """Those of every reading, at levels of the table and between them: 1 % and at least 1/12."""
-    own, rng = build_reading_law(sensor), np.random.default_rng(4)
-    for electrons in rng.uniform(max(own.lowest_level, -5 * sensor.read_noise_e), own.highest_level, 8):
-        want = max(moments(reading_law(electrons, sensor))[1], 1 / 12)
-        got = pixel(1, electrons, sensor, VARIANCE)[1] / sensor.gain_dn_per_e**2
-        assert got == pytest.approx(want, rel=0.01), electrons
 
 
 def test_a_black_level_far_too_high():

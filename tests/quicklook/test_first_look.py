@@ -30,10 +30,8 @@ POSITIONS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35)
 def drawn(sigma=(20.0, 14.0), peak_e=9000, seed=1, shape=(300, 320), sensor=SENSOR) -> np.ndarray:
     """An image of a Gaussian along x and y, by the sensor's exact law."""
     y, x = np.indices(shape)
-    light = peak_e * np.exp(
-        -(((x - shape[1] / 2 - 1.3) / sigma[0]) ** 2 + ((y - shape[0] / 2 + 1.4) / sigma[1]) ** 2) / 2
-    )
-    return sensor.draw(light, rng=seed)
+    x, y = (x - shape[1] / 2 - 1.3) / sigma[0], (y - shape[0] / 2 + 1.4) / sigma[1]
+    return sensor.draw(peak_e * np.exp(-(x**2 + y**2) / 2), rng=seed)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +114,7 @@ def test_errors_of_a_light_that_is_no_gaussian():
     assert errors[1] > 20 * errors[0]
 
 
-@pytest.mark.parametrize("factor", [1 / 4095, 1e9])
+@pytest.mark.parametrize("factor", [1 / 4095, 1e-6, 1e9])
 def test_numbers_in_any_unit_tell_the_same(factor):
     """As parts of the brightest pixel, less a background, or as large numbers.
 
@@ -141,12 +139,10 @@ def test_without_a_gain_errors_still_hold():
     60 has an error of 9 %, and 4 of those are allowed: chance exceeds them once in 16,000."""
     z = []
     for seed in range(60):
-        y, x = np.indices((64, 72))
-        light = 900 * np.exp(-(((x - 35.2) / 4) ** 2 + ((y - 30.7) / 3) ** 2) / 2)
-        found = spotcheck.look(SensorModel(0.5, 5, black_level_dn=20, full_scale_dn=1023).draw(light, rng=seed))
+        found = spotcheck.look(drawn((4.0, 3.0), 900, seed, (64, 72), SensorModel(0.5, 5, 0, np.inf, 20, 1023)))
         assert found.cameras[0].gain is None and "unknown: in no image does the noise grow" in repr(found)
         fit = found.images[0].fit
-        z.append([(fit.sigma_major - 4) / fit.sigma_major_stderr, (fit.x_centre - 35.2) / fit.x_centre_stderr])
+        z.append([(fit.sigma_major - 4) / fit.sigma_major_stderr, (fit.x_centre - 37.3) / fit.x_centre_stderr])
     assert np.all(np.abs(np.std(z, axis=0, ddof=1) - 1) < 0.37)
 
 
@@ -219,11 +215,6 @@ def test_a_width_does_not_depend_on_the_other_images():
     assert spotcheck.look([alone, *brighter]).cameras[0].black_level_dn == pytest.approx(20, abs=1)
 
 
-def test_names_count_as_people_do():
-    """2 before 10."""
-    assert sorted(["z10.tif", "z9.tif", "Z2.tif"], key=natural_sort_key) == ["Z2.tif", "z9.tif", "z10.tif"]
-
-
 def test_stacks_arrays_and_what_is_none(tmp_path):
     """Every page is an image; what is no image ends in a sentence."""
     tifffile.imwrite(tmp_path / "two.tif", np.stack([drawn(seed=1), drawn(seed=2)]), photometric="minisblack")
@@ -272,23 +263,14 @@ def test_the_channel_of_a_colour_image_that_reads_most(tmp_path):
 
 @pytest.mark.parametrize("image", [np.zeros((1, 1)), np.full((40, 50), 255, np.uint8), np.eye(30)])
 def test_an_image_without_a_spot_is_told(image, tmp_path):
-    """In words, in JSON and on the page."""
-    found = spotcheck.look(image)
+    """In words, in JSON and on the page; numbers of its unknown camera are None, under the keys of a known one."""
+    found, several = spotcheck.look(image), spotcheck.look([image, drawn()])
     assert "nothing stands out of the noise" in repr(found)
+    assert re.search(rf"^image 0 +{found.images[0].clipping.pixels}$", repr(several), re.MULTILINE)
+    unknown, known = found.to_dict()["cameras"][0], spotcheck.look(drawn()).to_dict()["cameras"][0]
+    assert set(known) == set(unknown) and unknown["read_noise_stderr_e"] is None
     assert found.to_dict()["images"][0]["gaussian_fit"] is None
     assert "nothing stands out" in found.write(tmp_path).read_text(encoding="utf-8")
-
-
-def test_numbers_of_an_unknown_camera_have_the_keys_of_a_known_one():
-    """They are None."""
-    known, unknown = (spotcheck.look(image).to_dict()["cameras"][0] for image in (drawn(), np.zeros((40, 50))))
-    assert set(known) == set(unknown) and unknown["read_noise_stderr_e"] is None
-
-
-def test_clipped_pixels_are_counted_without_a_spot():
-    """In the table of several images."""
-    found = spotcheck.look([np.full((40, 50), 255, np.uint8), drawn()])
-    assert re.search(r"^image 0 +2000$", repr(found), re.MULTILINE)
 
 
 def test_json_alone_on_stdout(scan, tmp_path, monkeypatch, capsys):
@@ -385,19 +367,6 @@ def test_nine_images_of_a_real_beam(tmp_path):
     for beam in (*moments.caustics.values(), *fits.caustics.values()):
         assert 0.495 < beam.waist_position < 0.77 and beam.m2_stderr > 0
     assert found.write(tmp_path).stat().st_size < 3e6
-
-
-@pytest.mark.parametrize("scale", [1 / 255, 1e-6])
-def test_readings_that_were_scaled(scale):
-    """Light of 0 to 1 as other programs write it: widths and their errors as of the same image in whole numbers, but
-    for rounding, whose 1/12 DN² is 4 % of the noise."""
-    y, x = np.mgrid[:120, :160]
-    light = np.random.default_rng(1).normal(200 * np.exp(-((x - 81.3) ** 2 + (y - 60) ** 2) / 200) + 20, 1.5)
-    own, scaled = (spotcheck.look(image).images[0] for image in (np.rint(light), scale * light))
-    for name in ("sigma_major", "sigma_minor"):
-        (width, error), (other, other_error) = own.fit_value(name), scaled.fit_value(name)
-        assert other_error == pytest.approx(error, rel=0.1) and abs(width - other) < error
-    assert scaled.moments.major == pytest.approx(own.moments.major, abs=own.moments.major_stderr)
 
 
 def test_a_broken_file_does_not_end_the_look_at_others(tmp_path):

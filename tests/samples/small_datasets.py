@@ -4,8 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+import xarray as xr
 
+from spotcheck.crops.cropping import crop_spots
+from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import folder as dataset
+from spotcheck.io import store
 from spotcheck.sensor import SensorModel
 from tests.reference.numpy_chain import draw
 from tests.samples.example_datasets import HEADER
@@ -35,6 +39,12 @@ def loaded(base: Path, frames: list[np.ndarray], instrument: str = "", exposures
     for k, pixels in enumerate(frames):
         tifffile.imwrite(base / f"frames/f{k}.tif", pixels)
     return dataset.load(base)
+
+
+def crops_of(data: dataset.Dataset) -> xr.Dataset:
+    """Content of crops.nc of a dataset; the file is written into its folder."""
+    crop_spots(data, ingest_frames(data), data.folder / "crops.nc", code="", inputs=[])
+    return store.read_whole(data.folder / "crops.nc")
 
 
 def gaussian(side: int, amplitude: float, x: float, y: float, sigma: float) -> np.ndarray:
