@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ from spotcheck.io.number_text import quantity_text
 
 # Different distances that a fit needs: one more than coefficients, to estimate the scatter about the hyperbola.
 FEWEST_POSITIONS = 4
+# M² below 1 by this many standard errors means a wrong input: a perfect beam gives it in 1 of 700 scans.
+IMPOSSIBLE_SIGMAS = 3.0
 
 
 class Caustic(NamedTuple):
@@ -140,3 +143,27 @@ def fit_caustic(z_m: ArrayLike, radius_m: ArrayLike, stderr_m: ArrayLike, *, wav
     values_and_errors = np.column_stack([values, np.sqrt(np.diag(covariance))]).ravel()
     chi2 = hyperbola.chi2_reduced if stderr.all() else np.nan
     return Caustic._make([*values_and_errors.tolist(), chi2, hyperbola.scatter, hyperbola.degrees, hyperbola])
+
+
+def describe_impossible_m2(m2_by_axis: Mapping[str, tuple[float, float]], pitch: str, wavelength: str, z: str) -> str:
+    """Return a remark if M² is significantly below 1, which no beam can have; "" otherwise.
+
+    Parameters
+    ----------
+    m2_by_axis : M² and its standard error, by the name of the axis; NaN if unknown.
+    pitch, wavelength : pixel pitch and wavelength, by the name that the user knows, with their values.
+    z : name of the positions along the beam.
+    """
+    low = list_low_axes(m2_by_axis, IMPOSSIBLE_SIGMAS)
+    return low and (
+        f"M² is below 1 ({low}), which no beam can have; it grows with {pitch} squared and falls with {wavelength} and"
+        f" with the unit of {z}: correct the wrong one, unless the camera sees an image of the beam and not the beam;"
+        " the pitch of binned frames is that of the sensor times the binning"
+    )
+
+
+def list_low_axes(m2_by_axis: Mapping[str, tuple[float, float]], sigmas: float) -> str:
+    """Return the axes whose M² is below 1 by more than `sigmas` standard errors, with M²; "" if there are none."""
+    return ", ".join(
+        f"{name} {quantity_text(m2, stderr)}" for name, (m2, stderr) in m2_by_axis.items() if m2 + sigmas * stderr < 1
+    )

@@ -16,8 +16,7 @@ import xarray as xr
 
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.beam_axes import BeamAxes, SpotWidths, fit_beam_axes, project_widths
-from spotcheck.fitting.beam_quality import describe_impossible_m2, list_low_axes
-from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, fit_caustic
+from spotcheck.fitting.caustic import FEWEST_POSITIONS, Caustic, describe_impossible_m2, fit_caustic, list_low_axes
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.hyperbola import COEFFICIENTS, LEVEL, QUANTITIES, Hyperbola
 from spotcheck.fitting.scan_widths import (

@@ -35,7 +35,7 @@ def build_json(look: Look) -> dict[str, Any]:
             "beams": {METHOD_KEYS[scan.method]: _convert_scan(scan) for scan in look.beams},
             "pixel_pitch_m": look.pixel_pitch_m,
             "wavelength_m": look.wavelength_m,
-            "remarks": [*text_report.list_scan_cautions(look), *look.remarks],
+            "remarks": [*text_report.find_scan_cautions(look), *look.remarks],
         }
     )
 

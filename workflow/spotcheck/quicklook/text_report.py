@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from spotcheck.fitting.beam_axes import ROUND_RATIO
-from spotcheck.fitting.beam_quality import describe_impossible_m2
+from spotcheck.fitting.caustic import describe_impossible_m2
 from spotcheck.io.number_text import quantity_text
 from spotcheck.quicklook.camera import Camera
 from spotcheck.quicklook.image_analysis import GAUSSIAN_CHI2, ImageResult, Widths
@@ -161,31 +161,29 @@ def list_cautions(image: ImageResult) -> list[str]:
     return [f"{caution.sentence} {caution.value}".rstrip() for caution in _find_cautions(image)]
 
 
-def _find_cautions(image: ImageResult) -> list[Caution]:
-    """Return the cautions about fit, D4σ, their difference and pixels that are left out; [] if there are none."""
+def _find_cautions(image: ImageResult) -> Iterator[Caution]:
+    """Yield the cautions about fit, D4σ, their difference and pixels that are left out."""
     moments, fit = image.moments, image.fit
-    cautions = [Caution(f"{reason}; such pixels:", str(count)) for reason, count in image.impossible_counts.items()]
+    for reason, count in image.impossible_counts.items():
+        yield Caution(f"{reason}; such pixels:", str(count))
     if fit is not None and not image.has_reliable_fit:
-        cautions.append(Caution("the fit is not reliable: the image does not constrain it; status", str(fit.status)))
+        yield Caution("the fit is not reliable: the image does not constrain it; status", str(fit.status))
     if fit is not None and image.is_noise_known and fit.chi2_reduced > SHAPE_CHI2:
         sentence = (
             "not a Gaussian: the fitted width depends on the weights of pixels, which its error includes; reduced χ²"
         )
-        cautions.append(Caution(sentence, f"{fit.chi2_reduced:.3g}"))
+        yield Caution(sentence, f"{fit.chi2_reduced:.3g}")
     if moments.is_measured and not moments.is_whole:
         sentence = f"{UNCERTAIN} D4σ is uncertain: its area of integration extends beyond the frame; part inside:"
-        cautions.append(Caution(sentence, f"{100 * moments.area_fraction:.0f} %"))
+        yield Caution(sentence, f"{100 * moments.area_fraction:.0f} %")
     if moments.is_measured and not moments.has_converged:
-        cautions.append(Caution("D4σ does not converge: it keeps changing with its area of integration"))
-    if (excess := image.width_excess) > 0:
-        sentence = "light in the wings, a second spot or an uneven background: D4σ exceeds 4σ of the fit by"
-        cautions.append(Caution(sentence, f"{100 * excess:.2g} %"))
-    elif excess < 0:
-        sentence = "flanks steeper than those of a Gaussian: D4σ is below 4σ of the fit by"
-        cautions.append(Caution(sentence, f"{-100 * excess:.2g} %"))
+        yield Caution("D4σ does not converge: it keeps changing with its area of integration")
+    if excess := image.width_excess:
+        wide = "light in the wings, a second spot or an uneven background: D4σ exceeds 4σ of the fit by"
+        narrow = "flanks steeper than those of a Gaussian: D4σ is below 4σ of the fit by"
+        yield Caution(wide if excess > 0 else narrow, f"{100 * abs(excess):.2g} %")
     if image.outlier_text:
-        cautions.append(Caution(image.outlier_text))
-    return cautions
+        yield Caution(image.outlier_text)
 
 
 def merge_cautions(images: Sequence[ImageResult]) -> list[str]:
@@ -240,7 +238,7 @@ def build_table(images: Sequence[ImageResult], pitch_m: float | None) -> tuple[l
 
 def describe_beams(look: Look) -> list[str]:
     """Return M² by each method as lines, and cautions about it; [] without a scan."""
-    return [*(line for scan in look.beams for line in _describe_scan(scan)), *list_scan_cautions(look)]
+    return [*(line for scan in look.beams for line in _describe_scan(scan)), *find_scan_cautions(look)]
 
 
 def _describe_scan(scan: BeamScan) -> list[str]:
@@ -262,14 +260,10 @@ def _describe_scan(scan: BeamScan) -> list[str]:
     return lines
 
 
-def list_scan_cautions(look: Look) -> list[str]:
-    """Return cautions about M²: if it is below 1, which one to use, and if positions do not follow ISO 11146-1.
-
-    The list is empty if there is nothing to say.
-    """
+def find_scan_cautions(look: Look) -> Iterator[str]:
+    """Yield cautions about M²: if it is below 1, which one to use, and if positions do not follow ISO 11146-1."""
     if not look.beams:
-        return []
-    cautions = []
+        return
     pitch, wavelength = f"the pixel pitch ({look.pixel_pitch_m:g} m)", f"the wavelength ({look.wavelength_m:g} m)"
     m2_by_method = (
         {f"{scan.method}, {axis}": (caustic.m2, caustic.m2_stderr) for axis, caustic in scan.caustics.items()}
@@ -277,9 +271,9 @@ def list_scan_cautions(look: Look) -> list[str]:
     )
     # Both methods have the same pitch, wavelength and positions, so that the first caution is enough.
     remarks = (describe_impossible_m2(m2_by_axis, pitch, wavelength, "z") for m2_by_axis in m2_by_method)
-    cautions += [remark for remark in remarks if remark][:1]
+    yield from [remark for remark in remarks if remark][:1]
     if any(image.width_excess > 0 for image in look.images):
-        cautions.append(
+        yield (
             "use M² by second moments: fits ignore light outside the Gaussian, which ISO 11146 includes, so their M² is"
             " too small"
         )
@@ -292,12 +286,11 @@ def list_scan_cautions(look: Look) -> list[str]:
         near = sum(distance < NEAR_WAIST for distance in distances)
         far = sum(distance > FAR_FROM_WAIST for distance in distances)
         if min(near, far) < STANDARD_POSITIONS // 2:
-            cautions.append(
+            yield (
                 f"ISO 11146-1 asks for {STANDARD_POSITIONS} positions or more, half of them within one Rayleigh length"
                 f" of the waist and half beyond two; second moments have {len(distances)} positions, {near} within one"
                 f" and {far} beyond two"
             )
-    return cautions
 
 
 def _format_value(value: float, stderr: float, unit: str = "") -> str:
