@@ -15,7 +15,7 @@ from spotcheck.characterization.outlier_pixels import OutlierPixels, find_outlie
 from spotcheck.characterization.pixel_maps import SensorMaps
 from spotcheck.crops.cropping import is_usable, iterate_cells
 from spotcheck.fitting.fit_results import NAMES, PARAMETERS, SpotFits, add_parameters
-from spotcheck.fitting.map_comparison import MapComparison
+from spotcheck.fitting.map_comparison import add_map_comparison, compute_shifts, cut_maps
 from spotcheck.fitting.spotfit import fit_spots
 from spotcheck.fitting.variables import add_variable
 from spotcheck.io import progress, store
@@ -83,19 +83,19 @@ def fit_crops(
     left, top = crops["left"].values, crops["top"].values
     by_likelihood = partial(fit_spots, sensor=sensor, top_hat=top_hat, integrated=integrated)
     by_least_squares = partial(fit_spots, sensor=sensor, weighting="equal", integrated=integrated)
-    comparison = None if maps is None or sensor is None else MapComparison(maps, crops, crop_dims)
+    # χ² without maps, and shifts of the parameters by the maps in standard errors.
+    maps = None if sensor is None else maps
+    chi2_without, shifts = np.full(shape[:-1], np.nan), np.full((*shape[:-1], len(PARAMETERS)), np.nan)
     for index in progress.track(list(iterate_cells(crops, crop_dims)), "fitting spots"):
         cell = tuple(index.values())
         if not is_usable(crops["status"].values[cell]):
             continue
         image = crops["image"].isel(index).values
-        fit_with_maps = by_likelihood
-        if comparison is not None:
-            fit_with_maps = partial(by_likelihood, maps=comparison.cut_maps(index))
-        fits, outliers = _fit_both(image, sensor, fit_with_maps, by_least_squares)
-        if comparison is not None:
-            inliers = np.where(outliers.mask, np.nan, image) if outliers is not None else image
-            comparison.add(cell, fits[LIKELIHOOD], by_likelihood(inliers))
+        pixel_maps = None if maps is None else cut_maps(maps, crops, index)
+        fits, outliers = _fit_both(image, sensor, partial(by_likelihood, maps=pixel_maps), by_least_squares)
+        if maps is not None:
+            fit_without = by_likelihood(np.where(outliers.mask, np.nan, image) if outliers is not None else image)
+            chi2_without[cell], shifts[cell] = fit_without.chi2_reduced, compute_shifts(fits[LIKELIHOOD], fit_without)
         for k, fit in fits.items():
             fit_index = (*cell, k)
             value[fit_index], stderr[fit_index], chi2[fit_index] = fit.value, fit.stderr, fit.chi2_reduced
@@ -113,9 +113,9 @@ def fit_crops(
     add_variable(ds, "chi2_reduced", dims, chi2, "1", "chi-square per degree of freedom under sensor noise")
     add_variable(ds, "left_out", dims, left_out, "1", "pixels of the sensor that were left out, and why")
     ds["status"] = (dims, status.astype("i4"), store.status_attributes())
-    remarks = [] if comparison is None else comparison.write(ds)
-    preferred = "least_squares" if sensor is None else "likelihood"
-    ds = ds.assign_attrs(preferred=preferred, **{f"fit_{name}": text for name, text in FITS.items()})
+    remarks = [] if maps is None else add_map_comparison(ds, crop_dims, chi2_without, shifts, maps)
+    ds.attrs |= {f"fit_{name}": text for name, text in FITS.items()}
+    ds.attrs["preferred"] = "least_squares" if sensor is None else "likelihood"
     return store.add_remarks(ds, [*remarks, *_check_chi2(select_preferred_fits(ds)["chi2_reduced"].values)])
 
 
