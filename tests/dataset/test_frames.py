@@ -33,37 +33,35 @@ def assert_reads(base, name: str, expected: np.ndarray, bits: int, instrument: s
     np.testing.assert_array_equal(pixels, expected)
 
 
-TIFFS = {
-    "8 bit": (RAMP.astype(np.uint8), {}),
-    "16 bit": (RAMP, {}),
-    "big-endian": (RAMP, {"byteorder": ">"}),
-    "deflate": (RAMP, {"compression": "zlib"}),
-    "predictor": (RAMP, {"compression": "zlib", "predictor": True}),
-    "tiles": (RAMP, {"tile": (16, 16)}),
-    "strips": (RAMP, {"rowsperstrip": 7}),
-    "bigtiff": (RAMP, {"bigtiff": True}),
+LOSSLESS = {"compression": "jpeg2000", "compressionargs": {"reversible": True, "level": 0}}
+TIFFS = [
+    *({}, {"byteorder": ">"}, {"bigtiff": True}, {"tile": (16, 16)}, {"rowsperstrip": 7}, LOSSLESS),
+    *({"compression": name} for name in ("zlib", "zstd", "packbits")),
+    {"compression": "zlib", "predictor": True},
+]
+# Files of 16 bit that other programs and cameras write, by suffix and writer.
+WRITERS = {
+    **{f"TIFF {options}": ("tif", lambda path, o=options: tifffile.imwrite(path, RAMP, **o)) for options in TIFFS},
+    "TIFF of Pillow": ("tif", lambda path: Image.fromarray(RAMP).save(path, compression="tiff_lzw")),
+    "PNG": ("png", lambda path: Image.fromarray(RAMP).save(path)),
+    "text PGM": ("pgm", lambda path: path.write_text("P2\n30 20\n1023\n" + "\n".join(map(str, RAMP.ravel())))),
 }
 
 
-@pytest.mark.parametrize(("pixels", "options"), TIFFS.values(), ids=TIFFS)
-def test_tiff(tmp_path, pixels, options):
-    """Containers that need no further package."""
-    tifffile.imwrite(place(tmp_path, "a.tif"), pixels, **options)
-    assert_reads(tmp_path, "a.tif", pixels, pixels.dtype.itemsize * 8)
+@pytest.mark.parametrize(("suffix", "write"), WRITERS.values(), ids=WRITERS)
+def test_containers(tmp_path, suffix, write):
+    """Lossless ones, whatever the layout of their pixels."""
+    write(place(tmp_path, f"a.{suffix}"))
+    assert_reads(tmp_path, f"a.{suffix}", RAMP, 16)
 
 
-def test_tiff_lzw(tmp_path):
-    """Written by Pillow, as many programs do."""
-    Image.fromarray(RAMP).save(place(tmp_path, "a.tif"), compression="tiff_lzw")
-    assert_reads(tmp_path, "a.tif", RAMP, 16)
-
-
-@pytest.mark.parametrize("compression", ["zstd", "packbits", "jpeg2000"])
-def test_tiff_of_other_compressions(tmp_path, compression):
-    """Lossless ones that cameras and archives write."""
-    options = {"compressionargs": {"reversible": True, "level": 0}} if compression == "jpeg2000" else {}
-    tifffile.imwrite(place(tmp_path, "a.tif"), RAMP, compression=compression, **options)
-    assert_reads(tmp_path, "a.tif", RAMP, 16)
+@pytest.mark.parametrize(
+    ("suffix", "write"), [("tif", tifffile.imwrite), ("png", lambda path, pixels: Image.fromarray(pixels).save(path))]
+)
+def test_frames_of_8_bit(tmp_path, suffix, write):
+    """They keep their depth."""
+    write(place(tmp_path, f"a.{suffix}"), RAMP.astype(np.uint8))
+    assert_reads(tmp_path, f"a.{suffix}", RAMP.astype(np.uint8), 8)
 
 
 def test_pages_of_a_stack(tmp_path):
@@ -77,13 +75,6 @@ def test_pages_of_a_stack(tmp_path):
         frames.check_formats(one(tmp_path, "a.tif", page="3"))
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_png(tmp_path, dtype):
-    """One grey channel of 8 or 16 bit."""
-    Image.fromarray(RAMP.astype(dtype)).save(place(tmp_path, "a.png"))
-    assert_reads(tmp_path, "a.png", RAMP.astype(dtype), np.dtype(dtype).itemsize * 8)
-
-
 @pytest.mark.parametrize(("highest", "bits"), [(255, 8), (65535, 16), (1023, 16), (4095, 16), (127, 8)])
 @pytest.mark.parametrize("comment", ["", "# camera\n", "# two\n# lines: 3 4 5\n"])
 def test_pgm(tmp_path, highest, bits, comment):
@@ -92,12 +83,6 @@ def test_pgm(tmp_path, highest, bits, comment):
     data = pixels.astype(">u2" if bits == 16 else "u1").tobytes()
     place(tmp_path, "a.pgm").write_bytes(f"P5\n{comment}30 20\n{highest}\n".encode() + data)
     assert_reads(tmp_path, "a.pgm", pixels, bits)
-
-
-def test_pgm_as_text(tmp_path):
-    """The text form, with its numbers on lines of any length."""
-    place(tmp_path, "a.pgm").write_text("P2\n30 20\n1023\n" + "\n".join(map(str, RAMP.ravel())))
-    assert_reads(tmp_path, "a.pgm", RAMP, 16)
 
 
 def test_left_aligned_container(tmp_path):
@@ -122,42 +107,54 @@ def test_full_scale_of_16_bit(tmp_path, sensor, highest):
     assert frames.get_full_scale(ds.instrument, 16) == highest
 
 
-def test_value_above_the_bit_depth(tmp_path):
-    """The value, the limit, and both remedies."""
-    ds = loaded(tmp_path, [np.full((20, 30), 1024, np.uint16)], "crop_px: 8\nsensor: {bit_depth: 10}")
-    with pytest.raises(InputError, match=r"f0\.tif: holds the value 1024, above the 1023.*value_shift_bits"):
+# A reading, section `sensor` of instrument.yaml, and what is said of both, by the headers or else by the pixels.
+BITS = [
+    (1024, "{bit_depth: 10}", r"^frames/f0\.tif: holds the value 1024, above the 1023.*value_shift_bits"),
+    (5, "{value_shift_bits: 4}", "low bits set"),
+    (0, "{value_shift_bits: 15, bit_depth: 2}", r"^instrument\.yaml: .* ask for 17 bits, but the frames hold 16"),
+    (0, "{bit_depth: 10, value_shift_bits: 7}", "17 bits, but the frames hold 16"),
+]
+
+
+@pytest.mark.parametrize(("value", "sensor", "words"), BITS)
+def test_bits_that_contradict_the_frames(tmp_path, value, sensor, words):
+    """The value, the limit, and the remedies."""
+    ds = loaded(tmp_path, [np.full((20, 30), value, np.uint16)], f"crop_px: 8\nsensor: {sensor}")
+    with pytest.raises(InputError, match=words):
+        frames.check_formats(ds)
         frames.read_image(ds, ds.frames[0])
 
 
+def test_a_wrong_key_is_named_with_its_file(tmp_path):
+    """The shared sheet, where the dataset's own has no such key."""
+    (tmp_path / "camera.yaml").write_text("sensor: {bit_depth: 12}", encoding="utf-8")
+    ds = loaded(tmp_path / "own", [RAMP.astype(np.uint8)], "{crop_px: 8, based_on: ../camera.yaml}")
+    with pytest.raises(InputError, match=r"^camera\.yaml: sensor\.bit_depth .* but the frames hold 8"):
+        frames.check_formats(ds)
+
+
 REFUSED = {
-    "float": (RAMP.astype(np.float32), "floating-point"),
-    "signed": (RAMP.astype(np.int16), "int16"),
-    "32 bit": (RAMP.astype(np.uint32), "uint32"),
+    "float": ("tif", RAMP.astype(np.float32), ".*floating-point.*one channel of 8 to 16 bit unsigned"),
+    "signed": ("tif", RAMP.astype(np.int16), ".*int16.*one channel of 8 to 16 bit unsigned"),
+    "32 bit": ("tif", RAMP.astype(np.uint32), ".*uint32.*one channel of 8 to 16 bit unsigned"),
+    "RGBA": ("png", None, r"has RGB colour and transparency \(PNG colour type 6\); it must be one channel"),
+    "LA": ("png", None, r"has a channel of transparency \(PNG colour type 4\); it must be one channel"),
+    "P": ("png", None, r"has a palette of colours \(PNG colour type 3\); it must be one channel"),
+    "1": ("png", None, "holds 1 bit pixels; it must be one channel"),
 }
 
 
-@pytest.mark.parametrize(("pixels", "word"), REFUSED.values(), ids=REFUSED)
-def test_other_pixels_are_refused(tmp_path, pixels, word):
-    """What the file holds, and what it must hold."""
-    tifffile.imwrite(place(tmp_path, "a.tif"), pixels)
-    with pytest.raises(InputError, match=rf"a\.tif: .*{word}.*one channel of 8 to 16 bit unsigned"):
-        frames.check_formats(one(tmp_path, "a.tif"))
-
-
-COLOURS = {
-    "RGBA": r"has RGB colour and transparency \(PNG colour type 6\)",
-    "LA": r"has a channel of transparency \(PNG colour type 4\)",
-    "P": r"has a palette of colours \(PNG colour type 3\)",
-    "1": "holds 1 bit pixels",
-}
-
-
-@pytest.mark.parametrize("mode", COLOURS)
-def test_other_png_are_refused(tmp_path, mode):
-    """Colour, transparency, palettes and bits."""
-    Image.new(mode, (30, 20)).save(place(tmp_path, "a.png"))
-    with pytest.raises(InputError, match=rf"a\.png: {COLOURS[mode]}; it must be one channel"):
-        frames.check_formats(one(tmp_path, "a.png"))
+@pytest.mark.parametrize("kind", REFUSED)
+def test_other_pixels_are_refused(tmp_path, kind):
+    """What the file holds, and what it must hold; a PNG in one of Pillow's modes."""
+    suffix, pixels, words = REFUSED[kind]
+    path = place(tmp_path, f"a.{suffix}")
+    if pixels is None:
+        Image.new(kind, (30, 20)).save(path)
+    else:
+        tifffile.imwrite(path, pixels)
+    with pytest.raises(InputError, match=rf"a\.{suffix}: {words}"):
+        frames.check_formats(one(tmp_path, path.name))
 
 
 @pytest.mark.parametrize("part", [0.0, 0.02, 0.5, 0.95])

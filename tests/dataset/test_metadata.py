@@ -77,17 +77,15 @@ def test_names_inside_hdf5(path, inner_path, wanted):
     assert not agreed and set(conflicts) == {"kind", "exposure_s"}
 
 
-@pytest.mark.parametrize(
-    "name", ["exp_900", "z18", "f50mm", "x_3mm", "delay_10us", "b_000_c", "speckle", "45degree5", ""]
-)
+# Numbers without a unit, and lengths and times of something else.
+SILENT = ["exp_900", "z18", "f50mm", "x_3mm", "delay_10us", "b_000_c", "speckle", "45degree5", ""]
+# Perhaps the end of a fraction or of a decimal number.
+AMBIGUOUS = ["1-400s", "1_250s", "exp_3_5ms", "t_4_25ms", "3_5mm", "2-5ms", "1,000us"]
+
+
+@pytest.mark.parametrize("name", [*SILENT, *AMBIGUOUS])
 def test_names_that_say_nothing(name):
-    """A number without a unit, and lengths and times of something else."""
-    assert said(file_names.parse_name(name)) == {}
-
-
-@pytest.mark.parametrize("name", ["1-400s", "1_250s", "exp_3_5ms", "t_4_25ms", "3_5mm", "2-5ms", "1,000us"])
-def test_ambiguous_numbers_in_names_are_not_read(name):
-    """The end of a fraction or of a decimal number is not taken as the number."""
+    """Nothing is taken from them."""
     assert said(file_names.parse_name(name)) == {}
 
 
@@ -156,17 +154,14 @@ def test_tags_of_a_tiff(tmp_path):
 @pytest.mark.parametrize("order", ["XYZCT", "XYTCZ"])
 def test_planes_of_ome(tmp_path, order):
     """Each page has what its own plane says, in whichever order the planes lie."""
-    planes = (
-        [(z, t) for z in range(2) for t in range(3)]
-        if order == "XYTCZ"
-        else [(z, t) for t in range(3) for z in range(2)]
-    )
+    planes = [(z, t) for z in range(2) for t in range(3)]
     listed = "".join(
         f'<Plane TheZ="{z}" TheC="0" TheT="{t}" ExposureTime="{t + 1}" ExposureTimeUnit="ms" PositionZ="{z}"'
         ' PositionZUnit="mm" DeltaT="30"/>'
-        for z in range(2)
-        for t in range(3)
+        for z, t in planes
     )
+    # The first axis of the order runs fastest.
+    planes.sort(key=lambda plane: plane[::-1] if order == "XYZCT" else plane)
     xml = (
         '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
         f'<AcquisitionDate>2026-01-31T09:30:00</AcquisitionDate><Pixels DimensionOrder="{order}" SizeX="20" SizeY="16"'
@@ -191,11 +186,8 @@ def test_imagej(tmp_path):
     own = {"Info": "Exposure = 20 ms\nWavelength=633 nm", "Labels": ["z=1 mm", "z=2 mm", "z=3 mm"]}
     tifffile.imwrite(tmp_path / "a.tif", STACK, imagej=True, metadata=own)
     found = read_metadata(tmp_path / "a.tif")
-    assert said(resolve_entries(found, 2)[0].values()) == {
-        "exposure_s": 0.02,
-        "laser.wavelength_m": 6.33e-7,
-        "z_m": 3e-3,
-    }
+    wanted = {"exposure_s": 0.02, "laser.wavelength_m": 6.33e-7, "z_m": 3e-3}
+    assert said(resolve_entries(found, 2)[0].values()) == wanted
 
 
 def test_png(tmp_path):
@@ -209,50 +201,39 @@ def test_png(tmp_path):
     assert MetadataEntry(None, None, "Make = Maker", "EXIF Make") in found
 
 
-def test_files_beside(tmp_path):
-    """Of an image's own name, with or without its ending."""
-    (tmp_path / "a.pgm").write_bytes(b"P5 1 1 255\n0")
-    (tmp_path / "a.json").write_text(
-        json.dumps({"camera": {"ExposureTime_us": 100, "sensor": {"pixel pitch (um)": 3.45}}})
-    )
-    (tmp_path / "a.pgm.txt").write_text("z: 3 mm\n")
-    (tmp_path / "a.yaml").write_text("angle_deg: 30\n")
-    wanted = {"exposure_s": 1e-4, "sensor.pixel_pitch_m": 3.45e-6, "z_m": 3e-3, "angle_deg": 30.0}
-    assert said(read_metadata(tmp_path / "a.pgm")) == wanted
+KEYS_BESIDE = {"camera": {"ExposureTime_us": 100, "sensor": {"pixel pitch (um)": 3.45}}}
+BESIDE = {
+    "own names": {"a.json": json.dumps(KEYS_BESIDE), "a.pgm.txt": "z: 3 mm\n", "a.yaml": "angle_deg: 30\n"},
+    "text and attribute": {
+        "a.xml": '<?xml version="1.0"?><Frame><ExposureTime unit="ms">0.1</ExposureTime><Stage z="3 mm"/></Frame>'
+    },
+    "keys as attributes": {
+        "a.xml": '<a><Property name="Exposure" value="100 us"/><Property key="z" value="3 mm"/></a>'
+    },
+    "namespace": {"a.xml": '<m:Info xmlns:m="urn:m"><m:Exposure_us>100</m:Exposure_us><m:Z_mm>3</m:Z_mm></m:Info>'},
+}
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        '<?xml version="1.0"?><Frame><ExposureTime unit="ms">0.1</ExposureTime><Stage z="3 mm"/></Frame>',
-        '<a><Property name="Exposure" value="100 us"/><Property key="z" value="3 mm"/></a>',
-        '<m:Info xmlns:m="urn:m"><m:Exposure_us>100</m:Exposure_us><m:Z_mm>3</m:Z_mm></m:Info>',
-    ],
-)
-def test_xml_beside(tmp_path, text):
-    """An element's text, an attribute, and elements that have their key as one."""
-    (tmp_path / "a.pgm").write_bytes(b"P5 1 1 255\n0")
-    (tmp_path / "a.xml").write_text(text)
-    assert said(read_metadata(tmp_path / "a.pgm")) == {"exposure_s": 1e-4, "z_m": 3e-3}
+@pytest.mark.parametrize("kind", BESIDE)
+def test_files_beside(tmp_path, kind):
+    """Of an image's own name, with or without its ending; XML with its keys in each of three ways."""
+    for name, content in {"a.pgm": "P5 1 1 255\n0", **BESIDE[kind]}.items():
+        (tmp_path / name).write_text(content)
+    more = {"sensor.pixel_pitch_m": 3.45e-6, "angle_deg": 30.0} if kind == "own names" else {}
+    assert said(read_metadata(tmp_path / "a.pgm")) == {"exposure_s": 1e-4, "z_m": 3e-3} | more
 
 
 @pytest.mark.parametrize(("mark", "name"), [(",", "log.csv"), (";", "list.CSV"), ("\t", "log.tsv")])
 def test_a_table_of_the_folder(tmp_path, mark, name):
     """A row for each image, by its name or its path; of a stack for each page. Another's rows and a table without names
     say nothing, nor does the manifest."""
-    rows = [
-        ["File name", "Exposure (ms)", "z [mm]", "note"],
-        ["data\\a.tif", "0.1", "3", ""],
-        ["b.tif", "0.2", "4", "x"],
-    ]
-    rows += [["c.tif", "0.3", str(k), ""] for k in range(3)]
-    (tmp_path / name).write_text("# by hand\n" + "\n".join(mark.join(row) for row in rows) + "\n")
+    rows = ["File name|Exposure (ms)|z [mm]|note", "data\\a.tif|0.1|3|", "b.tif|0.2|4|x"]
+    rows += [f"c.tif|0.3|{k}|" for k in range(3)]
+    (tmp_path / name).write_text("\n".join(["# by hand", *rows, ""]).replace("|", mark))
     (tmp_path / "other.csv").write_text("x,exposure\na.tif,9 s\n")
     (tmp_path / "manifest.csv").write_text("file,exposure_s\na.tif,9\n")
-    for image in ("a.tif", "c.tif", "d.tif"):
-        tifffile.imwrite(
-            tmp_path / image, STACK[0] if image != "c.tif" else STACK, photometric="minisblack", metadata=None
-        )
+    for image, pixels in (("a.tif", STACK[0]), ("c.tif", STACK), ("d.tif", STACK[0])):
+        tifffile.imwrite(tmp_path / image, pixels, photometric="minisblack", metadata=None)
     assert said(read_metadata(tmp_path / "a.tif")) == {"exposure_s": 1e-4, "z_m": 3e-3}
     assert said(read_metadata(tmp_path / "d.tif")) == {}
     found = read_metadata(tmp_path / "c.tif")

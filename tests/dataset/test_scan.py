@@ -34,7 +34,9 @@ def saved(folder, *names: str, **options):
 
 
 def new(folder, *words: str, capsys) -> tuple[dataset.Dataset, str]:
-    """The dataset that the command makes of a folder, and what it says; `check` passes."""
+    """The dataset that the command makes anew of a folder, and what it says; `check` passes."""
+    for name in ("manifest.csv", "instrument.yaml"):
+        (folder / name).unlink(missing_ok=True)
     main(["new-dataset", str(folder), *words])
     said = capsys.readouterr().out
     found = dataset.load(folder)
@@ -118,32 +120,36 @@ def test_check_names_what_a_run_will_skip(tmp_path, capsys):
         assert [missing in line for line in skipped[1:]] == [True] if missing else skipped[1:] == []
 
 
-def test_hyphens_are_signs_where_there_are_both(tmp_path, capsys):
-    """Else they part a word from its number."""
-    found, _ = new(saved(tmp_path, "z-5mm.tif", "z0mm.tif", "z+5mm.tif"), capsys=capsys)
-    assert {frame.file: frame.extra["z_m"] for frame in found.frames} == {
-        "z-5mm.tif": "-0.005",
-        "z0mm.tif": "0.0",
-        "z+5mm.tif": "0.005",
-    }
+# Names of files without suffix, and what the rows of some of them must hold.
+ROWS_OF_NAMES = {
+    "hyphens are signs where there are both": (
+        ["z-5mm", "z0mm", "z+5mm"],
+        {"z-5mm": {"z_m": "-0.005"}, "z0mm": {"z_m": "0.0"}, "z+5mm": {"z_m": "0.005"}},
+    ),
+    "folders, and numbers that start anew in each condition": (
+        [f"{angle}deg/{t}us_{n:03}" for angle in (0, 90) for t in (100, 200) for n in (1, 2)]
+        + ["dark/100us_001", "dark/100us_002"],
+        {
+            "90deg/200us_002": {"kind": "spot", "angle_deg": 90.0, "exposure_s": 2e-4, "repeat": 1},
+            "dark/100us_001": {"kind": "dark", "angle_deg": None, "exposure_s": 1e-4, "repeat": 0},
+        },
+    ),
+    "numbers that run on tell the order, not the repeat": (
+        ["100us_0", "100us_1", "200us_2", "200us_3"],
+        {"100us_1": {"repeat": 1}, "200us_2": {"repeat": 0}, "200us_3": {"repeat": 1}},
+    ),
+}
 
 
-def test_folders_and_numbers(tmp_path, capsys):
-    """Angles and kinds of folders, exposures of names, numbers that start anew in each condition."""
-    names = [f"{angle}deg/{t}us_{n:03}.tif" for angle in (0, 90) for t in (100, 200) for n in (1, 2)]
-    found, _ = new(saved(tmp_path, *names, "dark/100us_001.tif", "dark/100us_002.tif"), capsys=capsys)
-    rows = {frame.file: (frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat) for frame in found.frames}
-    assert rows["90deg/200us_002.tif"] == ("spot", 90.0, 2e-4, 1)
-    assert rows["dark/100us_001.tif"] == ("dark", None, 1e-4, 0)
-    assert found.shape == (2, 2, 2)
-
-
-def test_numbers_that_run_on_are_no_repeats(tmp_path, capsys):
-    """They tell the order, and repeats are counted within each exposure."""
-    names = [f"{t}us_{n}.tif" for n, t in enumerate((100, 100, 200, 200))]
-    found, said = new(saved(tmp_path, *names), capsys=capsys)
-    assert [frame.repeat for frame in found.frames] == [0, 1, 0, 1]
-    assert found.instrument.order_known and "counted within each condition" in said
+@pytest.mark.parametrize(("names", "rows"), ROWS_OF_NAMES.values(), ids=ROWS_OF_NAMES)
+def test_rows_of_names(tmp_path, capsys, names, rows):
+    """Positions, angles, kinds, exposures and repeats."""
+    found, said = new(saved(tmp_path, *(f"{name}.tif" for name in names)), capsys=capsys)
+    cells_of = {frame.file.removesuffix(".tif"): vars(frame) | frame.extra for frame in found.frames}
+    assert {name: {column: cells_of[name][column] for column in row} for name, row in rows.items()} == rows
+    runs_on = "100us_0" in names
+    assert found.instrument.order_known == runs_on
+    assert "counted within each condition" in said or not runs_on
 
 
 def test_a_row_a_page(tmp_path, capsys):
@@ -168,8 +174,6 @@ def test_contradictions_are_left_blank_until_they_are_settled(tmp_path, capsys):
     )
     assert {frame.exposure_s for frame in dataset.load(tmp_path).frames} == {None}
     for answer, wanted in (("file name", 1e-4), ("TIFF tag 33434 ExposureTime", 1e-3), ("3 ms", 3e-3)):
-        for name in ("manifest.csv", "instrument.yaml"):
-            (tmp_path / name).unlink()
         found, said = new(tmp_path, "--set", f"exposure_s={answer}", capsys=capsys)
         assert {frame.exposure_s for frame in found.frames} == {wanted} and "left blank" not in said
 
@@ -180,8 +184,6 @@ def test_numbers_without_a_unit(tmp_path, capsys):
     found, said = new(tmp_path, capsys=capsys)
     assert "z_m: z13 (file name, and 1 like it) has no unit that is known; give it by --set z_m=mm" in said
     assert "z_m" not in found.frames[0].extra
-    for name in ("manifest.csv", "instrument.yaml"):
-        (tmp_path / name).unlink()
     found, _ = new(tmp_path, "--set", "z_m=mm", capsys=capsys)
     assert [frame.extra["z_m"] for frame in found.frames] == ["0.013", "0.018"]
 
@@ -268,31 +270,26 @@ def test_nothing_is_overwritten(tmp_path, name):
     assert (tmp_path / name).read_text() == "mine" and len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.parametrize("word", ["exposure_s", "croppx=3", "exposure_s=", "sensor.pitch=3um"])
-def test_answers_to_no_question(tmp_path, word, capsys):
-    """One sentence that says what would be right."""
-    with pytest.raises(SystemExit):
-        main(["new-dataset", str(saved(tmp_path, "a.tif")), "--set", word])
-    assert capsys.readouterr().err.startswith(f"spotcheck: --set {word}: must be KEY=VALUE")
-    assert not (tmp_path / "manifest.csv").exists()
+NO_PAIR = "must be KEY=VALUE, with a KEY of kind, "
 
 
 @pytest.mark.parametrize(
     ("word", "right"),
     [
-        ("exposure_s=abc", "must be a time such as 2ms, or which source is right: file name"),
-        ("sensor.pixel_pitch_m=3kg", "must be a length such as 3.45um"),
-        ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b"),
-        ("sensor.bit_depth=99", "key sensor.bit_depth is 99; it must be at most 16"),
-        ("kind=spt", "must be spot, dark or flat"),
-        ("date=Monday", "must be a date such as 2026-01-31 or 2026-01-31T09:30:00"),
+        *((word, NO_PAIR) for word in ("exposure_s", "croppx=3", "exposure_s=", "sensor.pitch=3um")),
+        ("exposure_s=abc", "must be a time such as 2ms, or which source is right: file name\n"),
+        ("sensor.pixel_pitch_m=3kg", "must be a length such as 3.45um\n"),
+        ("sensor.channel=pink", "must be one of red, green, blue, green_r, green_b\n"),
+        ("sensor.bit_depth=99", "key sensor.bit_depth is 99; it must be at most 16\n"),
+        ("kind=spt", "must be spot, dark or flat\n"),
+        ("date=Monday", "must be a date such as 2026-01-31 or 2026-01-31T09:30:00\n"),
     ],
 )
 def test_answers_that_are_none(tmp_path, word, right, capsys):
-    """They are not left out without a word."""
+    """One sentence that says what would be right; they are not left out without a word."""
     with pytest.raises(SystemExit):
         main(["new-dataset", str(saved(tmp_path, "2ms.tif")), "--set", word])
-    assert capsys.readouterr().err == f"spotcheck: --set {word}: {right}\n"
+    assert capsys.readouterr().err.startswith(f"spotcheck: --set {word}: {right}")
     assert not (tmp_path / "manifest.csv").exists()
 
 
@@ -321,8 +318,6 @@ def test_binning_changes_the_pixel_pitch(tmp_path, capsys, binning, pitch_m):
     found, said = new(tmp_path, capsys=capsys)
     assert found.instrument.sensor.pixel_pitch_m == (pitch_m and pytest.approx(pitch_m))
     assert ("rows and columns are binned differently" in said) is (pitch_m is None)
-    for name in ("manifest.csv", "instrument.yaml"):
-        (tmp_path / name).unlink()
     found, said = new(tmp_path, "--set", "sensor.pixel_pitch_m=4.8um", capsys=capsys)
     assert found.instrument.sensor.pixel_pitch_m == pytest.approx(4.8e-6)
     assert "binned differently" not in said
