@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from spotcheck.dataset.folder import Axis
+from spotcheck.io.store import Axis
 from spotcheck.discrepancy.findings import Detection, ResidualTest
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.joint_fit import JointModel

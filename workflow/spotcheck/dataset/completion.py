@@ -8,6 +8,7 @@ import csv
 import io
 import posixpath
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -100,8 +101,7 @@ def write_or_complete(folder: Path, draft: ManifestDraft, crop_px: int | None, a
     for path, completion in ((manifest_path, manifest), (instrument_path, instrument)):
         if completion.changes or path.name in written:
             store.write_text(path, completion.text)
-    changes, remarks = [*manifest.changes, *instrument.changes], [*manifest.remarks, *instrument.remarks]
-    return FileChanges(written, changes, remarks)
+    return FileChanges(written, [*manifest.changes, *instrument.changes], [*manifest.remarks, *instrument.remarks])
 
 
 def _is_unwritten(path: Path, template_text: str) -> bool:
@@ -130,45 +130,41 @@ def complete_manifest(path: Path, draft: ManifestDraft, answers: Collection[str]
     """
     columns, rows = read_rows(path)
     drafted = {(frame.file, str(frame.page)): row for frame, row in zip(draft.frames, draft.rows, strict=True)}
-    filled_columns = [column for column in draft.columns if column not in KEPT_COLUMNS]
+    completed_columns = [column for column in draft.columns if column not in KEPT_COLUMNS]
     # New cells of each line by column, numbers of cells that are filled, and of cells that differ from an answer.
     cells_of_line: dict[int, dict[str, str]] = {}
-    filled, differing = dict.fromkeys(draft.columns, 0), dict.fromkeys(answers, 0)
-    named_frames = set()
+    filled, differing = Counter[str](), Counter[str]()
+    missing = dict(drafted)
     for line, row in rows:
         cells = {column: (value or "").strip() for column, value in row.items() if column}
         key = _normalize_file(cells.get("file", "")), cells.get("page") or "0"
-        named_frames.add(key)
         found = drafted.get(key, {})
-        new_cells = {column: found[column] for column in filled_columns if found.get(column) and not cells.get(column)}
+        missing.pop(key, None)
+        new_cells = {name: found[name] for name in completed_columns if found.get(name) and not cells.get(name)}
         # Darks and flats have no angle, whatever the images of other kinds state.
         if cells.get("kind") not in ("", "spot"):
             new_cells.pop("angle_deg", None)
-        for column in new_cells:
-            filled[column] += 1
-        for column in differing:
-            differing[column] += _differs(cells.get(column, ""), found.get(column, ""))
+        filled.update(new_cells.keys())
+        differing.update(name for name in answers if _differs(cells.get(name, ""), found.get(name, "")))
         cells_of_line[line] = new_cells
-    new_columns = [column for column in draft.columns if filled[column] and column not in columns]
+    filled_columns = [column for column in draft.columns if filled[column]]
+    new_columns = [column for column in filled_columns if column not in columns]
     text = _edit_lines(path, columns, new_columns, cells_of_line)
-    changes = [
-        f"manifest.csv: {column} is filled in {count} of {count_text(len(rows), 'row')}"
-        for column, count in filled.items()
-        if count
-    ]
+    row_count = count_text(len(rows), "row")
+    changes = [f"manifest.csv: {column} is filled in {filled[column]} of {row_count}" for column in filled_columns]
     remarks = [
-        f"manifest.csv: {column} has another value in {count_text(count, 'row')}, which stays;"
+        f"manifest.csv: {column} has another value in {count_text(differing[column], 'row')}, which stays;"
         " change it there if it is wrong"
-        for column, count in differing.items()
-        if count
+        for column in answers
+        if differing[column]
     ]
-    if missing := [frame for frame in drafted if frame not in named_frames]:
+    if missing:
         names = list(dict.fromkeys(file for file, _ in missing))
         listed = ", ".join(names[:MOST_LISTED]) + (", …" if len(names) > MOST_LISTED else "")
         remarks.append(
             f"manifest.csv: no row for {count_text(len(missing), 'frame')} ({listed}); add rows for those to be used"
         )
-    return Completion(text, tuple(changes), tuple(remarks), tuple(column for column in filled if filled[column]))
+    return Completion(text, tuple(changes), tuple(remarks), tuple(filled_columns))
 
 
 def _normalize_file(text: str) -> str:
@@ -298,10 +294,10 @@ def _insert_key(text: str, key: str, value: object, source: str) -> str:
     new_line = template.format_key(name, {}, {name: (value, source)})
     pattern = rf"# +{name}:" if section else rf"# ?{name}:"
     place = next((i for i in range(start, end) if re.match(pattern, lines[i])), None)
-    if place is not None:
-        lines[place] = indent + new_line
-    else:
-        lines.insert(start if section else end, indent + new_line)
+    if place is None:
+        place = start if section else end
+        lines.insert(place, "")
+    lines[place] = indent + new_line
     return line_end.join(lines) + line_end
 
 

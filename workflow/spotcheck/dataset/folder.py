@@ -3,41 +3,19 @@
 Loading checks everything that does not need a pixel, and raises `InputError` for a mistake.
 """
 
-from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from spotcheck.dataset.instrument import Instrument, read_instrument
-from spotcheck.dataset.manifest import KINDS, Frame, parse_number, read_manifest
+from spotcheck.dataset.manifest import KINDS, Frame, read_manifest
 from spotcheck.errors import InputError
 from spotcheck.io.formats.names import IMAGE_SUFFIXES
+from spotcheck.io.store import Axis
 
 # Unit of a manifest column by the suffix of its name.
 UNIT_OF_SUFFIX = {"_m": "m", "_s": "s", "_k": "K", "_deg": "degree"}
-
-
-@dataclass(frozen=True)
-class Axis:
-    """An axis of the grid of spots: one of the quantities that the spot frames vary."""
-
-    name: str  # name of the dimension
-    values: tuple[float, ...] | None  # distinct values, ascending; None if not recorded
-    units: str  # unit of the values
-    long_name: str  # description for tables and plots
-
-    @property
-    def size(self) -> int:
-        """Number of positions on the axis; 1 if its values were not recorded."""
-        return 1 if self.values is None else len(self.values)
-
-    def index(self, value: float | None) -> int:
-        """Return the position of a value on the axis, from 0.
-
-        None has position 0: `read_manifest` refuses columns that are blank in some spot rows only.
-        """
-        return 0 if self.values is None or value is None else bisect_left(self.values, value)
 
 
 @dataclass(frozen=True, repr=False)
@@ -100,14 +78,17 @@ class Dataset:
     @cached_property
     def axes(self) -> tuple[Axis, ...]:
         """Axes of the grid of spots: angle, exposure, repeat, then the declared conditions."""
-        axes = [
-            _build_axis("angle", [frame.angle_deg for frame in self.spots], "degree", "fibre orientation"),
-            _build_axis("exposure", [frame.exposure_s for frame in self.spots], "s", "exposure time"),
-            _build_axis("repeat", [frame.repeat for frame in self.spots], "1", "site or repetition within a condition"),
+        quantities = [
+            ("angle", "degree", "fibre orientation"),
+            ("exposure", "s", "exposure time"),
+            ("repeat", "1", "site or repetition within a condition"),
+            *((column, get_column_unit(column), column) for column in self.instrument.conditions),
         ]
-        for column in self.instrument.conditions:
-            values = [parse_number(frame.extra[column]) for frame in self.spots]
-            axes.append(_build_axis(column, values, get_column_unit(column), column))
+        axes = []
+        for position, (name, units, long_name) in enumerate(quantities):
+            values = {frame.get_coordinates(self.instrument.conditions)[position] for frame in self.spots}
+            recorded_values = sorted(value for value in values if value is not None)
+            axes.append(Axis(name, tuple(recorded_values) or None, units, long_name))
         return tuple(axes)
 
     @property
@@ -122,17 +103,9 @@ class Dataset:
 
     def cells(self) -> Iterator[tuple[tuple[int, ...], Frame]]:
         """Yield the index on the grid, a position on each of `axes`, and the frame of every spot, in manifest order."""
-        angle, exposure, repeat, *conditions = self.axes
         for frame in self.spots:
-            index = [angle.index(frame.angle_deg), exposure.index(frame.exposure_s), repeat.index(frame.repeat)]
-            index += [axis.index(parse_number(frame.extra[axis.name])) for axis in conditions]
-            yield tuple(index), frame
-
-
-def _build_axis(name: str, values: Sequence[float | None], units: str, long_name: str) -> Axis:
-    """Return the axis of the distinct values of all spots; None stands for a blank cell."""
-    distinct = sorted({value for value in values if value is not None})
-    return Axis(name, tuple(distinct) or None, units, long_name)
+            coordinates = frame.get_coordinates(self.instrument.conditions)
+            yield tuple(axis.index(value) for axis, value in zip(self.axes, coordinates, strict=True)), frame
 
 
 def get_column_unit(column: str) -> str:

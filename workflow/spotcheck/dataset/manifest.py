@@ -59,6 +59,14 @@ class Frame:
         """Name of the frame in messages: its file, with the page unless that is 0."""
         return f"{self.file}, page {self.page}" if self.page else self.file
 
+    def get_coordinates(self, conditions: tuple[str, ...]) -> tuple[float | None, ...]:
+        """Return angle [deg], exposure time [s], repeat and the numbers in the columns of the declared conditions.
+
+        None stands for a blank cell.
+        """
+        numbers = (parse_number(self.extra[column]) for column in conditions)
+        return self.angle_deg, self.exposure_s, self.repeat, *numbers
+
     @property
     def keep(self) -> bool | None:
         """True if the user keeps the frame, False if the user excludes it, None to compare it with its siblings."""
@@ -279,13 +287,10 @@ def _check_duplicates(path: Path, frames: tuple[Frame, ...], conditions: tuple[s
     # Line of the first row with each page, and with each condition and repeat.
     lines: dict[tuple, int] = {}
     for frame in frames:
-        values = tuple(parse_number(frame.extra[column]) for column in conditions)
-        page_key = frame.file, frame.page
-        repeat_key = frame.kind, frame.angle_deg, frame.exposure_s, frame.repeat, values
         for key, columns, advice in (
-            (page_key, "file and page", "every frame must be named once"),
+            ((frame.file, frame.page), "file and page", "every frame must be named once"),
             (
-                repeat_key,
+                (frame.kind, *frame.get_coordinates(conditions)),
                 "kind, angle, exposure, repeat and conditions",
                 "every frame must be named once, with a repeat of its own (exposures within"
                 f" {100 * EXPOSURE_TOLERANCE:g} % are one)",

@@ -7,6 +7,7 @@ bits per cell of the grid. The owner of a results folder is the dataset from whi
 """
 
 import os
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -58,24 +59,26 @@ COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 1}
 netCDF4.set_chunk_cache(2**21)
 
 
-class GridAxis(Protocol):
-    """Axis of the grid of spots."""
+@dataclass(frozen=True)
+class Axis:
+    """An axis of the grid of spots: one of the quantities that the spot frames vary."""
+
+    name: str  # name of the dimension
+    values: tuple[float, ...] | None  # distinct values, ascending; None if not recorded
+    units: str  # unit of the values
+    long_name: str  # description for tables and plots
 
     @property
-    def name(self) -> str:
-        """Name of the dimension."""
+    def size(self) -> int:
+        """Number of positions on the axis; 1 if its values were not recorded."""
+        return 1 if self.values is None else len(self.values)
 
-    @property
-    def values(self) -> tuple[float, ...] | None:
-        """Ascending coordinates; None if they were not recorded and the axis has length 1."""
+    def index(self, value: float | None) -> int:
+        """Return the position of a value on the axis, from 0.
 
-    @property
-    def units(self) -> str:
-        """Unit of the coordinates."""
-
-    @property
-    def long_name(self) -> str:
-        """Description of the axis for tables and plots."""
+        None has position 0, because a value is missing in all spots or in none.
+        """
+        return 0 if self.values is None or value is None else bisect_left(self.values, value)
 
 
 class GridDataset(Protocol):
@@ -90,7 +93,7 @@ class GridDataset(Protocol):
         """Title for figures and pages."""
 
     @property
-    def axes(self) -> Sequence[GridAxis]:
+    def axes(self) -> Sequence[Axis]:
         """Axes of the grid, in the order of its dimensions."""
 
 

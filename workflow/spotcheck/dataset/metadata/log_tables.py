@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import takewhile
 from pathlib import Path, PureWindowsPath
 
@@ -55,16 +56,13 @@ class TableReader:
 
     def __init__(self) -> None:
         """Start without any folder."""
-        # Tables of each folder, and its rows: by file name of the image, (path of the table, rows of that image).
-        self._tables: dict[Path, list[Path]] = {}
-        self._rows: dict[Path, dict[str, list[tuple[Path, list[TableRow]]]]] = {}
-        # Number of images of each name in the folders directly below a folder.
-        self._namesakes: dict[Path, Counter[str]] = {}
+        self._read_folder = cache(_read_folder)
+        # Number of files of each name in the folders directly below a folder.
+        self._count_names = cache(lambda folder: Counter(path.name for path in folder.glob("*/*")))
 
     def find_tables(self, folder: Path) -> list[Path]:
         """Return the tables and EMVA 1288 lists in a folder that describe images, sorted by name."""
-        self._read_folder(folder)
-        return self._tables[folder]
+        return self._read_folder(folder)[0]
 
     def read_entries(self, image: Path, page_count: int | None = None) -> Iterator[MetadataEntry]:
         """Yield what the tables in the folder of an image and in the folder above it give for the image.
@@ -79,8 +77,7 @@ class TableReader:
         page_count : number of pages of the image; None if it is not known.
         """
         for folder in image.parents[:2]:
-            self._read_folder(folder)
-            for table, rows in self._rows[folder].get(image.name, ()):
+            for table, rows in self._read_folder(folder)[1].get(image.name, ()):
                 # A table of this image alone is named in messages as other files beside an image are.
                 is_own = table.stem == image.stem and table.parent == image.parent
                 source = f"side file {table.name}" if is_own else table.name
@@ -107,31 +104,25 @@ class TableReader:
         may_be_namesakes = len(selected[0].path) == 1 and relative_path != selected[0].path
         if len(selected) == 1:
             yield from selected[0].entries
-        elif has_pages and not (may_be_namesakes and self._count_namesakes(folder, image.name) > 1):
+        elif has_pages and not (may_be_namesakes and self._count_names(folder)[image.name] > 1):
             for page, row in enumerate(selected):
                 yield from (replace(entry, page=page) for entry in row.entries)
         else:
             for row in selected:
                 yield from (replace(entry, text=f"{row.name}: {entry.text}") for entry in row.entries)
 
-    def _count_namesakes(self, folder: Path, name: str) -> int:
-        """Return the number of files with a name in the folders directly below a folder."""
-        if folder not in self._namesakes:
-            self._namesakes[folder] = Counter(path.name for path in folder.glob("*/*"))
-        return self._namesakes[folder][name]
 
-    def _read_folder(self, folder: Path) -> None:
-        """Read the tables of a folder, unless that was done before."""
-        if folder in self._rows:
-            return
-        self._tables[folder], self._rows[folder] = [], {}
-        for path in sorted(folder.iterdir()):
-            if not (path.suffix.lower() == ".txt" or _may_be_table(path)) or not path.is_file():
-                continue
-            if rows_by_name := _read_table(path):
-                self._tables[folder].append(path)
+def _read_folder(folder: Path) -> tuple[list[Path], dict[str, list[tuple[Path, list[TableRow]]]]]:
+    """Return the tables of a folder, and by file name of an image the tables and their rows that describe it."""
+    tables: list[Path] = []
+    rows_of_image: dict[str, list[tuple[Path, list[TableRow]]]] = {}
+    for path in sorted(folder.iterdir()):
+        if (path.suffix.lower() == ".txt" or _may_be_table(path)) and path.is_file():
+            rows_by_name = _read_table(path)
+            tables += [path] if rows_by_name else []
             for name, rows in rows_by_name.items():
-                self._rows[folder].setdefault(name, []).append((path, rows))
+                rows_of_image.setdefault(name, []).append((path, rows))
+    return tables, rows_of_image
 
 
 def _count_common_parts(path: Sequence[str], other: Sequence[str]) -> int:

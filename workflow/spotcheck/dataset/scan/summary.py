@@ -9,6 +9,7 @@ from spotcheck.dataset.metadata.units import UNDECIDABLE_COMMA
 from spotcheck.dataset.scan.answers import get_column_dimension
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, Conflict, ManifestDraft, UnusedMetadata
 from spotcheck.dataset.scan.folder_scan import FolderScan
+from spotcheck.io.number_text import count_text
 
 # Most different values that a line lists, and most examples of a longer list.
 MOST_VALUES, MOST_EXAMPLES = 6, 5
@@ -28,7 +29,7 @@ def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterato
     file_count = len({frame.file for frame in draft.frames})
     # Number of frames by size and bit depth.
     formats = Counter((frame.shape, frame.bits) for frame in draft.frames)
-    yield f"{name}: {len(draft.frames)} frames in {file_count} file{'s' if file_count > 1 else ''}, " + ", ".join(
+    yield f"{name}: {len(draft.frames)} frames in {count_text(file_count, 'file')}, " + ", ".join(
         f"{shape[1]} × {shape[0]} px of {bits} bit{f' ({count})' if len(formats) > 1 else ''}"
         for (shape, bits), count in formats.most_common(MOST_EXAMPLES)
     )
@@ -70,10 +71,10 @@ def _collect_doubts(draft: ManifestDraft) -> dict[str, list[str]]:
     """Return why values of a column or key are left blank in some frames, by column or key."""
     doubts: dict[str, list[str]] = {}
     for conflict in draft.conflicts:
-        doubts.setdefault(conflict.column, []).append(f"contradictory in {_count_frames(conflict.frames)}")
+        doubts.setdefault(conflict.column, []).append(f"contradictory in {count_text(conflict.frames, 'frame')}")
     for unused in draft.unused:
         if unused.column:
-            doubts.setdefault(unused.column, []).append(f"unclear in {_count_frames(unused.frames)}")
+            doubts.setdefault(unused.column, []).append(f"unclear in {count_text(unused.frames, 'frame')}")
     for key in draft.provenance:
         if "." in key and key not in draft.instrument_keys:
             doubts.setdefault(key, []).append("differs between frames or is out of range")
@@ -83,21 +84,14 @@ def _collect_doubts(draft: ManifestDraft) -> dict[str, list[str]]:
     return doubts
 
 
-def _count_frames(count: int) -> str:
-    """Return a number of frames as text."""
-    return f"{count} frame{'s' if count > 1 else ''}"
-
-
 def _format_sources(column: str, draft: ManifestDraft) -> list[str]:
     """Return the sources of a column or key, the most frequent first, each with the text of its first value."""
     sources = draft.provenance.get(column, Counter()).most_common(MOST_EXAMPLES)
-    return [_format_source(source, count) for source, count in sources]
-
-
-def _format_source(source_and_example: tuple[str, str], count: int) -> str:
-    """Return a source with the text of its first value, which is "" for assumed values; `count` values are from it."""
-    source, example = source_and_example
-    return f"{source} ({example}{', …' if count > 1 else ''})" if example else source
+    # The text of a value that was assumed is "".
+    return [
+        f"{source} ({example}{', …' if count > 1 else ''})" if example else source
+        for (source, example), count in sources
+    ]
 
 
 def _summarize_values(values: Sequence[str]) -> str:

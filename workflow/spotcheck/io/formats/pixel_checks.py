@@ -90,9 +90,8 @@ def check_colours(pixels: np.ndarray) -> None:
 
 def _list_colours(flat: np.ndarray) -> np.ndarray:
     """Return the different colours among pixels [pixel, channel] as float64 [colour, channel]."""
-    shifts = 8 * flat.dtype.itemsize * np.arange(flat.shape[1], dtype=np.uint64)
-    packed = np.zeros(len(flat), np.uint64)
-    for channel, shift in enumerate(shifts):
-        packed |= flat[:, channel].astype(np.uint64) << shift
-    mask = np.uint64(2 ** (8 * flat.dtype.itemsize) - 1)
-    return np.stack([(np.unique(packed) >> shift & mask) for shift in shifts], axis=1).astype(float)
+    # The channels of a pixel and zeros fill an integer of 8 bytes, which is sorted much faster than rows of an array.
+    padded = np.zeros((len(flat), 8 // flat.dtype.itemsize), flat.dtype)
+    padded[:, : flat.shape[1]] = flat
+    colours = np.unique(padded.view(np.uint64)).view(flat.dtype).reshape(-1, padded.shape[1])
+    return colours[:, : flat.shape[1]].astype(float)
