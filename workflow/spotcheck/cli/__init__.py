@@ -1,8 +1,8 @@
 """Command line: one subcommand per stage of the workflow, each in a module of its name.
 
-In: the words of a command line. Out: files of results, and text for the terminal. A subcommand module has `EXAMPLES`,
-`add_arguments(parser)` and `run(args)`: it parses, calls the library and writes. Only the module of the chosen
-subcommand is imported, because imports dominate the time of a short job.
+In: the words of a command line. Out: files of results, and text for the terminal. A subcommand module has
+`add_arguments(parser)` and `run(args)`: it parses, calls the library and writes. The help shows the examples in its
+docstring. Only the module of the chosen subcommand is imported, because imports dominate the time of a short job.
 """
 
 import argparse
@@ -62,6 +62,8 @@ GROUPS = {
         "effects": "write the page of effects from the effects' own files",
     },
 }
+# Heading of the command lines at the end of a module's docstring, which its help shows.
+EXAMPLES_HEADING = "Examples\n--------\n"
 # Subcommand → its sentence, in the order of the main help.
 COMMANDS = {name: sentence for commands in GROUPS.values() for name, sentence in commands.items()}
 
@@ -140,7 +142,8 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
         )
         if name == command:
             module = importlib.import_module(f"spotcheck.cli.{name.replace('-', '_')}")
-            subparser.epilog = f"Examples:\n{textwrap.indent(module.EXAMPLES, '  ')}"
+            examples = (module.__doc__ or "").partition(EXAMPLES_HEADING)[2].rstrip()
+            subparser.epilog = f"Examples:\n{textwrap.indent(examples, '  ')}"
             module.add_arguments(subparser)
             subparser.set_defaults(run=module.run)
     if not words:

@@ -2,6 +2,10 @@
 
 A choice is the decision whether a learned value replaces that of the data sheet, the dataset's own instrument.yaml. An
 unused result is one that no key of an instrument file can hold.
+
+Examples
+--------
+spotcheck adopt out/my-frames --to camera.yaml
 """
 
 import argparse
@@ -15,8 +19,6 @@ from spotcheck.export.instrument_file import format_table, write_instrument_file
 from spotcheck.export.learned_values import collect_learned_values
 from spotcheck.export.value_choice import choose_values
 from spotcheck.io import store
-
-EXAMPLES = "spotcheck adopt out/my-frames --to camera.yaml"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

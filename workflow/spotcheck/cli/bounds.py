@@ -1,6 +1,11 @@
 """`spotcheck bounds`: writes bounds.nc, the Cramér-Rao bounds of fits over exposure time.
 
 A bound is the smallest standard error that an unbiased fit can have. σ_g is the width of the Gaussian spot.
+
+Examples
+--------
+spotcheck bounds my-frames --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc \\
+    --output out/my-frames/bounds.nc
 """
 
 import argparse
@@ -8,20 +13,15 @@ import argparse
 import numpy as np
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
+from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.bounds import compute_bounds
 from spotcheck.io import provenance, store
 
-EXAMPLES = """spotcheck bounds my-frames --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc \\
-    --output out/my-frames/bounds.nc"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--calibration", required=True, help="calibration.nc")
-    parser.add_argument("--sensor", required=True, help="sensor.nc")
-    parser.add_argument("--output", required=True, help="bounds.nc to write")
+    file_options.add_arguments(parser, "calibration", "sensor", output="bounds.nc")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -3,27 +3,26 @@
 The law is σ_g = σ_laser + p1 ln(t / 1 s) + p2 [px] at the exposure time t, where σ_laser is the laser's own width on
 the sensor. p1 [px] is the slope, p2 [px] the width at 1 s without the laser's own. calibration.nc holds both by three
 estimators, two regressions of fitted widths and maximum likelihood of all frames. A site is a place on the sample.
+
+Examples
+--------
+spotcheck calibrate my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
+    --sensor out/my-frames/sensor.nc --output out/my-frames/calibration.nc
 """
 
 import argparse
 import math
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
+from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, calibrate
 from spotcheck.io import provenance, store
 
-EXAMPLES = """spotcheck calibrate my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
-    --sensor out/my-frames/sensor.nc --output out/my-frames/calibration.nc"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--crops", required=True, help="crops.nc")
-    parser.add_argument("--fits", required=True, help="fits.nc")
-    parser.add_argument("--sensor", required=True, help="sensor.nc")
-    parser.add_argument("--output", required=True, help="calibration.nc to write")
+    file_options.add_arguments(parser, "crops", "fits", "sensor", output="calibration.nc")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -1,24 +1,25 @@
 """`spotcheck caustic`: writes caustic.nc, the hyperbolas of the beam's width along z, with waist, divergence and M².
 
 z is the position along the beam. The beam quality M² is 1 for an ideal Gaussian beam and larger for others.
+
+Examples
+--------
+spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/caustic.nc
 """
 
 import argparse
 
+from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.scan_caustic import ESTIMATORS, compute_caustic, explain_no_scan, select_beam_rows
 from spotcheck.fitting.scan_widths import measure_scan_moments
 from spotcheck.io import provenance, store
 from spotcheck.io.number_text import quantity_text
 
-EXAMPLES = "spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/caustic.nc"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--fits", required=True, help="fits.nc")
-    parser.add_argument("--output", required=True, help="caustic.nc to write")
+    file_options.add_arguments(parser, "fits", output="caustic.nc")
 
 
 def run(args: argparse.Namespace) -> None:

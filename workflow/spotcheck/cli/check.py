@@ -1,6 +1,10 @@
 """`spotcheck check`: checks that a dataset folder keeps the dataset contract, without decoding a pixel.
 
 The contract is the required form of manifest.csv, instrument.yaml and the frames.
+
+Examples
+--------
+spotcheck check my-frames
 """
 
 import argparse
@@ -15,8 +19,6 @@ from spotcheck.fitting.calibration import explain_missing_law
 from spotcheck.fitting.scan_caustic import explain_missing_caustic
 from spotcheck.io import configuration
 from spotcheck.model import baseline
-
-EXAMPLES = "spotcheck check my-frames"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

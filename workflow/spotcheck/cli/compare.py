@@ -1,4 +1,9 @@
-"""`spotcheck compare`: writes comparison.html and comparison.nc, the differences of datasets from the first."""
+"""`spotcheck compare`: writes comparison.html and comparison.nc, the differences of datasets from the first.
+
+Examples
+--------
+spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc
+"""
 
 import argparse
 from pathlib import Path
@@ -8,8 +13,6 @@ from spotcheck.report.comparison.datasets import list_sources
 from spotcheck.report.comparison.netcdf import build_dataset
 from spotcheck.report.comparison.table import compare_datasets
 from spotcheck.report.pages.comparison import write_comparison_page
-
-EXAMPLES = "spotcheck compare out/my-frames out/my-flats --page comparison.html --output comparison.nc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,6 +2,10 @@
 
 A calibration is what results say about the sensor: its parameters, the maps of offset and gain of its pixels, and the
 detected effects on well and response.
+
+Examples
+--------
+spotcheck correct my-frames --results out/my-frames --output corrected
 """
 
 import argparse
@@ -10,8 +14,6 @@ from pathlib import Path
 from spotcheck.cli import effect_options
 from spotcheck.dataset import folder
 from spotcheck.export.corrected_folder import read_calibration, write_corrected_frames
-
-EXAMPLES = "spotcheck correct my-frames --results out/my-frames --output corrected"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

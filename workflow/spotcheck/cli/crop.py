@@ -1,20 +1,22 @@
-"""`spotcheck crop`: writes crops.nc, a square image around the spot of each frame."""
+"""`spotcheck crop`: writes crops.nc, a square image around the spot of each frame.
+
+Examples
+--------
+spotcheck crop my-frames --frames out/my-frames/frames.nc --output out/my-frames/crops.nc
+"""
 
 import argparse
 from pathlib import Path
 
+from spotcheck.cli import file_options
 from spotcheck.crops.cropping import crop_spots
 from spotcheck.dataset import folder
 from spotcheck.io import provenance, store
 
-EXAMPLES = "spotcheck crop my-frames --frames out/my-frames/frames.nc --output out/my-frames/crops.nc"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
-    parser.add_argument("--output", required=True, help="crops.nc to write")
+    file_options.add_arguments(parser, "frames", output="crops.nc")
 
 
 def run(args: argparse.Namespace) -> None:

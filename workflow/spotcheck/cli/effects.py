@@ -1,12 +1,15 @@
-"""`spotcheck effects`: writes the documentation page of the effects that a verdict can name."""
+"""`spotcheck effects`: writes the documentation page of the effects that a verdict can name.
+
+Examples
+--------
+spotcheck effects --output effects.md
+"""
 
 import argparse
 from pathlib import Path
 
 from spotcheck.cli import effect_options
 from spotcheck.report.pages import effects
-
-EXAMPLES = "spotcheck effects --output effects.md"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,11 +1,14 @@
-"""`spotcheck equations`: writes tables of the equations and symbols in the docstrings of the code."""
+"""`spotcheck equations`: writes tables of the equations and symbols in the docstrings of the code.
+
+Examples
+--------
+spotcheck equations --symbols data/symbols.yaml --tests tests --output docs
+"""
 
 import argparse
 from pathlib import Path
 
 from spotcheck.report.pages import equations
-
-EXAMPLES = "spotcheck equations --symbols data/symbols.yaml --tests tests --output docs"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,6 +1,13 @@
 """`spotcheck explain`: shows where a number of the results comes from: file, variable, rule and inputs.
 
 A rule is a step of the workflow that runs a subcommand. A number has a name such as p1 or fits.sigma_mean[…].
+
+Examples
+--------
+spotcheck explain p1 --results out/my-frames
+spotcheck explain unexplained.size --results out/my-frames
+spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json --results out/my-frames
+spotcheck explain --results out/my-frames      # lists all names
 """
 
 import argparse
@@ -11,11 +18,6 @@ from spotcheck.cli import COMMANDS
 from spotcheck.errors import InputError
 from spotcheck.report import provenance
 from spotcheck.report.provenance import explanation
-
-EXAMPLES = """spotcheck explain p1 --results out/my-frames
-spotcheck explain unexplained.size --results out/my-frames
-spotcheck explain "fits.sigma_mean[angle=90, exposure=0.0009, repeat=1]" --json --results out/my-frames
-spotcheck explain --results out/my-frames      # lists all names"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,6 +2,13 @@
 
 The declared model is the simulation from calibration and data sheet. The extended model, in model.yaml, has in addition
 the physical effects that the verdict detected.
+
+Examples
+--------
+spotcheck extended my-frames --model out/my-frames/model.yaml --sensor out/my-frames/sensor.nc \\
+    --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc --metrics out/my-frames/metrics.nc --seed 1 \\
+    --folder out/my-frames/extended --images out/my-frames/extended.nc --output out/my-frames/extended_metrics.nc \\
+    --table out/my-frames/model_comparison.csv
 """
 
 import argparse
@@ -13,11 +20,6 @@ from spotcheck.cli import effect_options, pipeline
 from spotcheck.io import provenance, store
 from spotcheck.metrics.model_comparison import compare_models, comparison_csv, summarise_comparison
 from spotcheck.model.model_file import reason_without_model
-
-EXAMPLES = """spotcheck extended my-frames --model out/my-frames/model.yaml --sensor out/my-frames/sensor.nc \\
-    --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc --metrics out/my-frames/metrics.nc --seed 1 \\
-    --folder out/my-frames/extended --images out/my-frames/extended.nc --output out/my-frames/extended_metrics.nc \\
-    --table out/my-frames/model_comparison.csv"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

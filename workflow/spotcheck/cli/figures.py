@@ -1,12 +1,15 @@
-"""`spotcheck figures`: draws every figure of the results as SVG and PNG, and writes index.json, the list of them."""
+"""`spotcheck figures`: draws every figure of the results as SVG and PNG, and writes index.json, the list of them.
+
+Examples
+--------
+spotcheck figures --dataset my-frames --results out/my-frames --output out/my-frames/figures
+"""
 
 import argparse
 from pathlib import Path
 
 from spotcheck.report.figures.results import Results
 from spotcheck.report.figures.write import write_all
-
-EXAMPLES = "spotcheck figures --dataset my-frames --results out/my-frames --output out/my-frames/figures"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,6 +1,11 @@
 """`spotcheck fit`: writes fits.nc, the 2D Gaussian fits to every crop (the image around a spot).
 
 Each crop is fitted by least squares and by maximum likelihood.
+
+Examples
+--------
+spotcheck fit my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
+    --output out/my-frames/fits.nc
 """
 
 import argparse
@@ -10,9 +15,6 @@ from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.dataset import folder
 from spotcheck.fitting.crop_fits import count_failure_reasons, fit_crops, select_preferred_fits
 from spotcheck.io import provenance, store
-
-EXAMPLES = """spotcheck fit my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
-    --output out/my-frames/fits.nc"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

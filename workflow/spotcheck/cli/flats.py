@@ -2,11 +2,15 @@
 
 Flats are frames of uniform light, darks are frames without light. The verdict says whether a linear sensor explains
 them, and which physical effects it is missing. The vocabulary is the list of the effects that are tested.
+
+Examples
+--------
+spotcheck flats my-flats --frames out/my-flats/frames.nc --output out/my-flats/verdict.json
 """
 
 import argparse
 
-from spotcheck.cli import effect_options, tolerance
+from spotcheck.cli import effect_options, file_options, tolerance
 from spotcheck.dataset import file_cache, folder
 from spotcheck.discrepancy.flats import analyse_flats
 from spotcheck.discrepancy.sentence import summarize_verdict
@@ -15,18 +19,14 @@ from spotcheck.discrepancy.written import write_verdict
 from spotcheck.io import provenance, store
 from spotcheck.model import effects
 
-EXAMPLES = "spotcheck flats my-flats --frames out/my-flats/frames.nc --output out/my-flats/verdict.json"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser.
 
     `tolerance` adds --tolerance, `effect_options` adds --effects, --only and --without.
     """
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
+    file_options.add_arguments(parser, "frames", output="verdict.json")
     tolerance.add_option(parser)
-    parser.add_argument("--output", required=True, help="verdict.json to write")
     effect_options.add_options(parser)
 
 

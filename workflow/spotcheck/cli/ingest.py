@@ -1,19 +1,22 @@
-"""`spotcheck ingest`: writes frames.nc, the table of digest (SHA-256), shape and extreme readings of every frame."""
+"""`spotcheck ingest`: writes frames.nc, the table of digest (SHA-256), shape and extreme readings of every frame.
+
+Examples
+--------
+spotcheck ingest my-frames --output out/my-frames/frames.nc
+"""
 
 import argparse
 from pathlib import Path
 
+from spotcheck.cli import file_options
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
 
-EXAMPLES = "spotcheck ingest my-frames --output out/my-frames/frames.nc"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--output", required=True, help="frames.nc to write")
+    file_options.add_arguments(parser, output="frames.nc")
 
 
 def run(args: argparse.Namespace) -> None:

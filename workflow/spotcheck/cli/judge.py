@@ -2,6 +2,12 @@
 
 The verdict names the physical effects that the model is missing. discrepancy.nc holds images of the residuals for the
 report, model.yaml the extended model with these effects, and light.nc the shape of the light if it was learned.
+
+Examples
+--------
+spotcheck judge my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
+    --fits out/my-frames/fits.nc --pictures out/my-frames/discrepancy.nc --model out/my-frames/model.yaml \\
+    --light out/my-frames/light.nc --output out/my-frames/verdict.json
 """
 
 import argparse
@@ -9,7 +15,7 @@ import ctypes
 import sys
 from contextlib import ExitStack
 
-from spotcheck.cli import effect_options, tolerance
+from spotcheck.cli import effect_options, file_options, tolerance
 from spotcheck.dataset import folder
 from spotcheck.discrepancy.judgement import ModelFiles, judge_spots, write_model_files
 from spotcheck.discrepancy.sentence import summarize_verdict
@@ -17,9 +23,6 @@ from spotcheck.discrepancy.verdict import compose_verdict
 from spotcheck.discrepancy.written import write_verdict
 from spotcheck.io import provenance, store
 
-EXAMPLES = """spotcheck judge my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/sensor.nc \\
-    --fits out/my-frames/fits.nc --pictures out/my-frames/discrepancy.nc --model out/my-frames/model.yaml \\
-    --light out/my-frames/light.nc --output out/my-frames/verdict.json"""
 # Option M_ARENA_MAX of glibc's `mallopt` (malloc.h): the largest number of heaps.
 M_ARENA_MAX = -8
 
@@ -29,9 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     `tolerance` adds --tolerance, `effect_options` adds --effects, --only and --without.
     """
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--crops", required=True, help="crops.nc")
-    parser.add_argument("--sensor", required=True, help="sensor.nc")
+    file_options.add_arguments(parser, "crops", "sensor", output="verdict.json")
     parser.add_argument(
         "--fits", help="fits.nc with starting values of the model (default: each frame is first fitted)"
     )
@@ -39,7 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
     parser.add_argument("--model", required=True, help="model.yaml to write, which `spotcheck simulate` runs")
     parser.add_argument("--light", required=True, help="light.nc to write, beside model.yaml: the learned light shape")
-    parser.add_argument("--output", required=True, help="verdict.json to write")
     effect_options.add_options(parser)
 
 

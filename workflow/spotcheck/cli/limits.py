@@ -1,4 +1,9 @@
-"""`spotcheck limits`: prints upper limits on the sizes of the effects that a verdict does not name."""
+"""`spotcheck limits`: prints upper limits on the sizes of the effects that a verdict does not name.
+
+Examples
+--------
+spotcheck limits --results out/my-frames
+"""
 
 import argparse
 import json
@@ -7,8 +12,6 @@ from pathlib import Path
 from spotcheck.cli.explain import find_only_results
 from spotcheck.discrepancy.words import limits_text
 from spotcheck.errors import InputError
-
-EXAMPLES = "spotcheck limits --results out/my-frames"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

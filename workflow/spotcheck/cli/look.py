@@ -1,6 +1,11 @@
 """`spotcheck look`: measures widths, shape, clipping and camera noise of images without a description.
 
 A scan is a series of images at positions z along the beam, from which the beam quality M² is fitted.
+
+Examples
+--------
+spotcheck look my-frames/frames                # all images of a folder
+spotcheck look my-frames/frames --pixel-um 3.75 --json
 """
 
 import argparse
@@ -13,8 +18,6 @@ from spotcheck.errors import InputError
 from spotcheck.quicklook.first_look import look
 from spotcheck.quicklook.images import find_folder
 
-EXAMPLES = """spotcheck look my-frames/frames                # all images of a folder
-spotcheck look my-frames/frames --pixel-um 3.75 --json"""
 # Default folder of the page.
 FOLDER = "look"
 

@@ -1,6 +1,10 @@
 """`spotcheck maps`: writes maps.nc, offset [DN] and relative gain of each pixel of the sensor.
 
 They come from flats (frames of uniform light) and darks (frames without light).
+
+Examples
+--------
+spotcheck maps my-flats --frames out/my-flats/frames.nc --output maps.nc
 """
 
 import argparse
@@ -9,8 +13,6 @@ from spotcheck.characterization.pixel_maps import build_maps_dataset, measure_ma
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
-
-EXAMPLES = "spotcheck maps my-flats --frames out/my-flats/frames.nc --output maps.nc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

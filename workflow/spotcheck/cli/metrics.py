@@ -1,16 +1,18 @@
 """`spotcheck metrics`: writes metrics.nc, image metrics of measured and simulated frames side by side.
 
 A pair is a measured frame and the simulated frame of the same conditions. Its PSNR is the peak signal-to-noise ratio.
+
+Examples
+--------
+spotcheck metrics --crops out/my-frames/crops.nc out/my-frames/simulated/crops.nc \\
+    --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc --sensor out/my-frames/sensor.nc \\
+    --output out/my-frames/metrics.nc
 """
 
 import argparse
 
 from spotcheck.io import provenance, store
 from spotcheck.metrics.metrics_table import compute_metrics
-
-EXAMPLES = """spotcheck metrics --crops out/my-frames/crops.nc out/my-frames/simulated/crops.nc \\
-    --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc --sensor out/my-frames/sensor.nc \\
-    --output out/my-frames/metrics.nc"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,6 +2,10 @@
 
 The manifest (manifest.csv) has a row per frame, the instrument file (instrument.yaml) has keys such as
 sensor.pixel_pitch_m. An answer is a column or key with its value, which the user gives where files state none.
+
+Examples
+--------
+spotcheck new-dataset new-frames
 """
 
 import argparse
@@ -29,7 +33,6 @@ QUESTIONS = {
 }
 # Largest number of files without an image, and of unreadable frames, that are listed.
 MAX_LISTED = 5
-EXAMPLES = "spotcheck new-dataset new-frames"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,9 @@
-"""`spotcheck open`: opens the page of a dataset or of results in the browser."""
+"""`spotcheck open`: opens the page of a dataset or of results in the browser.
+
+Examples
+--------
+spotcheck open out/my-frames
+"""
 
 import argparse
 import webbrowser
@@ -6,7 +11,6 @@ from pathlib import Path
 
 from spotcheck.errors import InputError
 
-EXAMPLES = "spotcheck open out/my-frames"
 # Names of pages, the most complete first.
 PAGES = ("report.html", "look.html", "comparison.html")
 

@@ -1,6 +1,12 @@
 """`spotcheck paper`: compares the numbers of the paper with the results, and writes paper_numbers.csv and a page.
 
 A number holds if the result is within the tolerance of the number.
+
+Examples
+--------
+spotcheck paper data/published.yaml --seeds data/published_seeds.csv \\
+    --dataset data/virtual-rig --results results/virtual-rig --table numbers.csv \\
+    --page numbers.html --summary numbers.md
 """
 
 import argparse
@@ -13,10 +19,6 @@ from spotcheck.io.schema import read_yaml
 from spotcheck.paper import number_checks
 from spotcheck.paper.results import Results
 from spotcheck.report.pages.numbers import write_numbers_page
-
-EXAMPLES = """spotcheck paper data/published.yaml --seeds data/published_seeds.csv \\
-    --dataset data/virtual-rig --results results/virtual-rig --table numbers.csv \\
-    --page numbers.html --summary numbers.md"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

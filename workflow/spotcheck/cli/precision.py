@@ -1,6 +1,11 @@
 """`spotcheck precision`: writes precision.nc, the scatter of fits over repeats beside the Cramér-Rao bound.
 
 The bound is the smallest standard error that an unbiased fit can have.
+
+Examples
+--------
+spotcheck precision my-frames --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc \\
+    --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc --output out/my-frames/precision.nc
 """
 
 import argparse
@@ -8,21 +13,16 @@ import argparse
 import numpy as np
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
+from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.precision import compute_precision
 from spotcheck.io import provenance, store
 
-EXAMPLES = """spotcheck precision my-frames --fits out/my-frames/fits.nc out/my-frames/simulated/fits.nc \\
-    --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc --output out/my-frames/precision.nc"""
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("dataset", help="dataset folder")
+    file_options.add_arguments(parser, "calibration", "sensor", output="precision.nc")
     parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
-    parser.add_argument("--calibration", required=True, help="calibration.nc")
-    parser.add_argument("--sensor", required=True, help="sensor.nc")
-    parser.add_argument("--output", required=True, help="precision.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

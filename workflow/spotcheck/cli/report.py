@@ -1,4 +1,9 @@
-"""`spotcheck report`: writes report.html, one self-contained page of figures, tables and skipped parts."""
+"""`spotcheck report`: writes report.html, one self-contained page of figures, tables and skipped parts.
+
+Examples
+--------
+spotcheck report --dataset my-frames --results out/my-frames --output out/my-frames/report.html
+"""
 
 import argparse
 import json
@@ -7,8 +12,6 @@ from pathlib import Path
 from spotcheck.cli import effect_options
 from spotcheck.dataset import folder
 from spotcheck.report.dataset_page.report import write_report
-
-EXAMPLES = "spotcheck report --dataset my-frames --results out/my-frames --output out/my-frames/report.html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,6 +3,11 @@
 The paper's model is a Gaussian spot whose width follows a law over exposure time, from calibration.nc. The extended
 model, from model.yaml, has further physical effects. calibration.nc has the law by several estimators;
 SIMULATION_ESTIMATOR is the name of the one that the simulation uses.
+
+Examples
+--------
+spotcheck simulate my-frames --calibration out/my-frames/calibration.nc --fits out/my-frames/fits.nc \\
+    --sensor out/my-frames/sensor.nc --seed 1 --folder out/my-frames/simulated --output out/my-frames/simulated.nc
 """
 
 import argparse
@@ -18,9 +23,6 @@ from spotcheck.io import provenance, store
 from spotcheck.model import simulation
 from spotcheck.model.light_shape import LIGHT
 from spotcheck.model.model_file import read_model
-
-EXAMPLES = """spotcheck simulate my-frames --calibration out/my-frames/calibration.nc --fits out/my-frames/fits.nc \\
-    --sensor out/my-frames/sensor.nc --seed 1 --folder out/my-frames/simulated --output out/my-frames/simulated.nc"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

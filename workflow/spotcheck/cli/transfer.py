@@ -1,6 +1,10 @@
 """`spotcheck transfer`: writes transfer.nc, the quantities of EMVA 1288 of the sensor.
 
 They come from flats (frames of uniform light) and darks (frames without light).
+
+Examples
+--------
+spotcheck transfer my-flats --frames out/my-flats/frames.nc --output out/my-flats/transfer.nc
 """
 
 import argparse
@@ -8,18 +12,15 @@ import argparse
 from spotcheck.characterization.characterise import analyse_ingested_frames
 from spotcheck.characterization.fixed_pattern import add_patterns
 from spotcheck.characterization.transfer_data import build_transfer_dataset, read_quantities
+from spotcheck.cli import file_options
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
 
-EXAMPLES = "spotcheck transfer my-flats --frames out/my-flats/frames.nc --output out/my-flats/transfer.nc"
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    parser.add_argument("dataset", help="dataset folder")
-    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
-    parser.add_argument("--output", required=True, help="transfer.nc to write")
+    file_options.add_arguments(parser, "frames", output="transfer.nc")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -1,6 +1,12 @@
 """`spotcheck views`: writes views.nc, the frames that each model expects beside the measured ones, for the report.
 
 The models are the paper's one, with the law of calibration.nc, and the extended model of model.yaml.
+
+Examples
+--------
+spotcheck views my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
+    --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc --model out/my-frames/model.yaml \\
+    --output out/my-frames/views.nc
 """
 
 import argparse
@@ -14,10 +20,6 @@ from spotcheck.model.light_shape import LIGHT
 from spotcheck.model.model_file import read_model, reason_without_model
 from spotcheck.model.simulation import check_model
 from spotcheck.report import views
-
-EXAMPLES = """spotcheck views my-frames --crops out/my-frames/crops.nc --fits out/my-frames/fits.nc \\
-    --calibration out/my-frames/calibration.nc --sensor out/my-frames/sensor.nc --model out/my-frames/model.yaml \\
-    --output out/my-frames/views.nc"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

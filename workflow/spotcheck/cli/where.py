@@ -1,4 +1,9 @@
-"""`spotcheck where`: lists where the results of a dataset are."""
+"""`spotcheck where`: lists where the results of a dataset are.
+
+Examples
+--------
+spotcheck where out/my-frames
+"""
 
 import argparse
 from pathlib import Path
@@ -13,7 +18,6 @@ RESULTS = (
     ("notebooks", "executed notebooks"),
     ("docs", "equation and symbol tables"),
 )
-EXAMPLES = "spotcheck where out/my-frames"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
