@@ -9,7 +9,6 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from spotcheck.io.store import Axis
 from spotcheck.discrepancy.findings import Detection, ResidualTest
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.joint_fit import JointModel
@@ -286,9 +285,9 @@ def pictures() -> tuple[DrawnFrames, xr.Dataset]:
     after = replace(before, forward=replace(forward, effects=(departure.start.with_value("level", 2.0),)))
     angles, exposures = (tuple(np.unique(v).tolist()) for v in (np.rad2deg(CONDITIONS.angle), CONDITIONS.exposure_s))
     axes = (
-        Axis("angle", angles, "degree", "fibre orientation"),
-        Axis("exposure", exposures, "s", "exposure time"),
-        Axis("repeat", (0.0, 1.0), "1", "repeat"),
+        store.Axis("angle", angles, "degree", "fibre orientation"),
+        store.Axis("exposure", exposures, "s", "exposure time"),
+        store.Axis("repeat", (0.0, 1.0), "1", "repeat"),
     )
     cells = [
         tuple(axis.index(float(value)) for axis, value in zip(axes, row, strict=True))
