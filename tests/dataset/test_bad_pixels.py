@@ -119,7 +119,6 @@ WRONG = {
     "bad_pixels: {mask: nothing.tif}": "key bad_pixels.mask names 'nothing.tif', which is not there; it must be the",
     "bad_pixels: {mask: masks/small.tif}": "'small.tif', which has 20 × 10 px, but the frames have 150 × 150 px",
     "bad_pixels: {mask: manifest.csv}": "manifest.csv: cannot be read as an image",
-    f"bad_pixels: {{rows: {list(range(150))}}}": "names every pixel of the frames",
 }
 
 

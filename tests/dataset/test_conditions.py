@@ -17,7 +17,6 @@ from spotcheck.dataset.conditions import (
 )
 from spotcheck.dataset.folder import load
 from spotcheck.dataset.plausibility import list_unusual_values
-from spotcheck.errors import InputError
 from spotcheck.io import store
 from tests.reference.numpy_chain import draw
 from tests.samples.small_datasets import HEADER, SENSOR, folder, gaussian
@@ -72,13 +71,6 @@ SPOKEN_OF = {
 def test_values_that_are_all_different_and_alike(column, values, spoken):
     """A sentence where every frame has one of its own though they hardly differ, and none for a sweep."""
     assert bool(check_spread(column, values)) is spoken
-
-
-def test_two_rows_of_one_condition_need_repeats(tmp_path):
-    """Exposures that differ by 2e-4 of themselves are one, so equal repeats are a mistake of the manifest."""
-    folder(tmp_path, ["frames/a.tif,spot,0,0.004,0", "frames/b.tif,spot,0,0.0040008,0"])
-    with pytest.raises(InputError, match=r"lines 2 and 3 agree .* with a repeat of its own \(exposures within 0\.1 %"):
-        load(tmp_path)
 
 
 def test_a_declared_condition_is_grouped_and_keeps_its_text(tmp_path):

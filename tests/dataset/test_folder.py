@@ -37,14 +37,21 @@ BAD_ROWS = {
     "no file": ([",spot,0,1e-4,0"], ["line 2", "file", "inside the dataset folder"]),
     "outside": (["../a.tif,spot,0,1e-4,0"], ["line 2", "'../a.tif'", "inside the dataset folder"]),
     "absolute": (["/tmp/a.tif,spot,0,1e-4,0"], ["line 2", "'/tmp/a.tif'", "inside the dataset folder"]),
+    "drive": (["C:\\data\\a.tif,spot,0,1e-4,0"], ["line 2", "inside the dataset folder"]),
+    "server": (["\\\\server\\a.tif,spot,0,1e-4,0"], ["line 2", "inside the dataset folder"]),
+    "long name": ([f"frames/{'a' * 1000}.tif,spot,0,1e-4,0"], ["line 2: file has 1011 characters"]),
     "NUL": (["frames/a\0.tif,spot,0,1e-4,0"], ["line 2", "inside the dataset folder"]),
     "braces": (["frames/a{1}.tif,spot,0,1e-4,0"], ["line 2", "braces"]),
-    "no image": (["frames/a.jpg,spot,0,1e-4,0"], ["line 2", "frames/a.jpg", ".tif, .tiff, .png, .pgm"]),
+    "no image": (["frames/a.jpg,spot,0,1e-4,0"], ["line 2: frames/a.jpg is in no format", "TIFF, PNG or PGM (.tif"]),
     "too few cells": ([GOOD, "frames/b.tif,spot,0,1e-4"], ["line 3", "fewer cells"]),
     "too many cells": ([GOOD, SECOND + ",9"], ["line 3", "more cells"]),
     "open quote": (['"' + GOOD * 9000], ["unclosed quote"]),
     "same file": ([GOOD, "frames/../frames/a.tif,spot,0,1e-4,1"], ["lines 2 and 3", "file and page", "once"]),
     "same cell": ([GOOD, "frames/b.tif,spot,0,0.0001,0"], ["lines 2 and 3", "kind, angle, exposure, repeat", "once"]),
+    "nearly equal exposures": (
+        ["frames/a.tif,spot,0,0.004,0", "frames/b.tif,spot,0,0.0040008,0"],
+        ["lines 2 and 3 agree", "with a repeat of its own (exposures within 0.1 %"],
+    ),
     "two blank darks": (["frames/a.tif,dark,,,", "frames/b.tif,dark,,,"], ["lines 2 and 3", "once"]),
     "half blank": ([GOOD, "frames/b.tif,spot,0,,1"], ["line 3", "exposure_s is blank", "all of them or in none"]),
     "half blank angle": (["frames/a.tif,spot,,1e-4,0", SECOND], ["line 2", "angle_deg is blank", "in none"]),
@@ -66,6 +73,7 @@ BAD_HEADERS = {
     "semicolons": (HEADER.replace(",", ";"), GOOD, ["column file is missing", "commas"]),
     "no name": (f"{HEADER},", f"{GOOD},5", ["line 2", "column without a name"]),
     "twice": (f"{HEADER},exposure_s", f"{GOOD},5", ["column exposure_s stands twice"]),
+    "twice, in other capitals": (f"{HEADER},Kind", f"{GOOD},5", ["column kind stands twice"]),
 }
 
 
@@ -77,6 +85,7 @@ def test_a_bad_header_is_named(tmp_path, header, row, words):
 
 # Ten lists, each ten times the one before: 10^10 values, once somebody writes them out.
 LAUGHS = "name:\n- &a0 [x, x]\n" + "".join(f"- &a{k + 1} [{', '.join([f'*a{k}'] * 10)}]\n" for k in range(10))
+PLANE = "sensor: {bayer: RGGB, channel: red}\n"
 BAD_KEYS = {
     "unknown": ("croppx: 240", ["unknown key croppx", "crop_px"]),
     "unknown in a section": ("sensor: {gain: 1}", ["unknown key sensor.gain", "gain_dn_per_e"]),
@@ -94,6 +103,13 @@ BAD_KEYS = {
     "far above": ("sensor: {black_level_dn: 1.0e+300}", ["black_level_dn", "at most"]),
     "below": ("crop_px: 4", ["crop_px", "4", "at least 8"]),
     "zero": ("sensor: {gain_dn_per_e: 0}", ["gain_dn_per_e", "at least 1e-06"]),
+    "pitch in µm": ("sensor: {pixel_pitch_m: 4.8}", ["is 4.8; it must be at most", "4.8 µm would be 4.8e-06"]),
+    "wavelength in nm": ("laser: {wavelength_m: 405}", ["is 405; it must be at most", "405 nm would be 4.05e-07"]),
+    "no channel": ("sensor: {bayer: RGGB}", ["sensor.channel is missing; it must be red, green_r"]),
+    "no such plane": ("sensor: {bayer: RGGB, channel: green}", ["sensor.channel is green; it must be red, green_r"]),
+    "plane without filters": ("sensor: {channel: green_r}", ["it must be green without sensor.bayer"]),
+    "no such filters": ("sensor: {bayer: RGBG, channel: red}", ["sensor.bayer is 'RGBG'; it must be one of"]),
+    "integration": (f"{PLANE}optics: {{pixel_integration: true}}", ["cover a quarter of the frame"]),
     "transmission": ("optics: {filter_transmission: 91.9}", ["filter_transmission", "at most 1"]),
     "budget": ("model: {photon_budget: square}", ["photon_budget", "'square'", "spot_area, linear, free"]),
     "section": ("sensor: 5", ["sensor", "a section with keys"]),

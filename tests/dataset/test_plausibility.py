@@ -8,7 +8,6 @@ import yaml
 from spotcheck.cli import main
 from spotcheck.dataset.folder import load
 from spotcheck.dataset.plausibility import USUAL_RANGES, list_unusual_values
-from spotcheck.errors import InputError
 from tests.samples.small_datasets import HEADER, ROOT, folder
 
 ROW = "frames/a.tif,spot,0,0.002,0"
@@ -49,47 +48,26 @@ def test_every_range_has_a_wrong_number_here():
     assert set(USUAL_RANGES) == {*WRONG_UNIT, "exposure_s", "angle_deg"}
 
 
-# A number that the schema refuses: the refusal says the unit.
-REFUSED = {
-    "sensor.pixel_pitch_m": (4.8, "4.8 µm would be 4.8e-06"),
-    "laser.wavelength_m": (405, "405 nm would be 4.05e-07"),
+SCAN = {"conditions": ["z_m"]}
+NEARER = {"optics": {"focal_length_m": 0.05, "working_distance_m": 0.03}}
+# Instrument file, first cells of the rows (exposure, angle, z), and what the only sentence says; none for None.
+UNUSUAL = {
+    "exposure in ms or µs": ({}, ["250,0,", "20,0,"], ["largest exposure_s is 250", "250 ms would be 0.25", "250 µs"]),
+    "exposure in µs": ({}, ["1e5,0,", "20,0,"], ["largest exposure_s is 100000", "100000 µs would be 0.1"]),
+    "half a minute": ({}, ["30,0,"], None),
+    "z in mm": (SCAN, ["1,0,-240", "1,0,-80", "1,0,80"], ["the largest z_m is 240", "240 mm would be 0.24"]),
+    "more than a turn": ({}, ["0.002,900,"], ["angle_deg is 900"]),
+    "an object too near": (NEARER, ["0.002,0,"], ["working_distance_m is 0.03", "focal_length_m 0.05"]),
 }
 
 
-@pytest.mark.parametrize(("key", "given"), REFUSED.items(), ids=REFUSED)
-def test_a_refusal_says_the_unit(tmp_path, key, given):
-    """Beside what the schema allows."""
-    section, name = key.split(".")
-    with pytest.raises(InputError, match=f"key {key} is {given[0]}; it must be at most .*{given[1]}"):
-        said(tmp_path, {section: {name: given[0]}})
-
-
-@pytest.mark.parametrize(
-    ("exposure", "words"),
-    [("250", ("250 ms would be 0.25", "250 µs would be 0.00025")), ("1e5", ("100000 µs would be 0.1",))],
-)
-def test_exposures_in_another_unit(tmp_path, exposure, words):
-    """By the largest; one of half a minute is usual."""
-    (text,) = said(tmp_path / "a", {}, [f"frames/a.tif,spot,0,{exposure},0", "frames/b.tif,spot,0,20,0"])
-    assert text.startswith(f"manifest.csv: the largest exposure_s is {float(exposure):g}") and all(
-        w in text for w in words
-    )
-    assert said(tmp_path / "b", {}, ["frames/a.tif,spot,0,30,0"]) == []
-
-
-def test_positions_and_angles(tmp_path):
-    """z in mm, on both sides of its zero; an angle of more than a turn."""
-    rows = [f"frames/{k}.tif,spot,0,0.002,{k},{z}" for k, z in enumerate((-240, -80, 80))]
-    (text,) = said(tmp_path / "z", {"conditions": ["z_m"]}, rows, f"{HEADER},z_m")
-    assert "the largest z_m is 240" in text and "240 mm would be 0.24" in text
-    (text,) = said(tmp_path / "angle", {}, ["frames/a.tif,spot,900,0.002,0"])
-    assert "angle_deg is 900" in text
-
-
-def test_an_object_nearer_than_the_focal_length(tmp_path):
-    """Has no image."""
-    (text,) = said(tmp_path, {"optics": {"focal_length_m": 0.05, "working_distance_m": 0.03}})
-    assert "working_distance_m is 0.03" in text and "focal_length_m 0.05" in text
+@pytest.mark.parametrize(("instrument", "cells", "words"), UNUSUAL.values(), ids=UNUSUAL)
+def test_unusual_numbers(tmp_path, instrument, cells, words):
+    """By the largest of a column."""
+    rows = [f"{k},frames/{k}.tif,spot,{row}" for k, row in enumerate(cells)]
+    texts = said(tmp_path, instrument, rows, "repeat,file,kind,exposure_s,angle_deg,z_m")
+    assert len(texts) == (words is not None)
+    assert [word for word in words or () if word not in texts[0]] == []
 
 
 @pytest.mark.parametrize("name", ["virtual-rig", "zscan-sample"])

@@ -18,7 +18,6 @@ from spotcheck.errors import InputError
 from spotcheck.io.formats import files, hdf5
 from spotcheck.io.formats.names import split_inner_path
 from spotcheck.io.formats.page import Page
-from tests.samples.small_datasets import HEADER, folder
 
 STACK = np.arange(3 * 20 * 32, dtype=np.uint16).reshape(3, 20, 32) * 6
 
@@ -211,10 +210,3 @@ def test_a_dataset_of_hdf5_and_npy(tmp_path, capsys):
     table = ingest_frames(found)
     assert len(set(table["sha256"].values)) == 2 and set(table["copy_of"].values) == {-1}
     np.testing.assert_array_equal(frames.read_image(found, found.frames[4]), noisy[1, 1])
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    """It is named without what should be in it."""
-    found = dataset.load(folder(tmp_path, ["frames/x.h5#/d,spot,0,1e-4,0"], header=HEADER))
-    with pytest.raises(InputError, match=r"line 2: frames/x\.h5 is not there"):
-        dataset.check_files(found)

@@ -124,19 +124,3 @@ def test_a_mask_of_bad_pixels_has_the_size_of_the_sensor(tmp_path):
     Image.fromarray(mask).save(tmp_path / "mask.png")
     found = bayer(tmp_path, "bad_pixels: {mask: mask.png}")
     assert np.argwhere(np.isnan(frames.read_masked_image(found, found.frames[0]))).tolist() == [[1, 3]]
-
-
-@pytest.mark.parametrize(
-    ("sheet", "words"),
-    [
-        ("sensor: {bayer: RGGB}", "sensor.channel is missing; it must be red, green_r"),
-        ("sensor: {bayer: RGGB, channel: green}", "sensor.channel is green; it must be red, green_r"),
-        ("sensor: {channel: green_r}", "it must be green without sensor.bayer"),
-        ("sensor: {bayer: RGGB, channel: red}\noptics: {pixel_integration: true}", "cover a quarter of the frame"),
-        ("sensor: {bayer: RGBG, channel: red}", "sensor.bayer is 'RGBG'; it must be one of"),
-    ],
-)
-def test_keys_that_do_not_go_together(tmp_path, sheet, words):
-    """One sentence."""
-    with pytest.raises(InputError, match=words):
-        dataset.load(folder(tmp_path, ["frames/a.tif,spot,0,1e-4,0"], sheet))

@@ -230,10 +230,7 @@ PGM_START = b"P5 32 20 255\n"
 # Content and what is said of it, by the readers of the header and of the pixels.
 BROKEN = {
     **{f"TIFF of {length} bytes": (b"II*\0\x08\0\0\0"[:length], "cut short") for length in range(2, 9)},
-    "a transparent value": (
-        png_of(4, 4, chunk(b"tRNS", b"\0\7")),
-        "its chunk tRNS makes pixels of one value transparent",
-    ),
+    "a transparent value": (png_of(4, 4, chunk(b"tRNS", b"\0\7")), "its chunk tRNS makes pixels of one value"),
     "a film": (png_of(4, 4, chunk(b"acTL", bytes(8))), "its chunk acTL makes it a film of several images"),
     "no bits": (png_of(4, 4, chunk(b"sBIT", b"\0")), "its chunk sBIT says 0 of 8 bits"),
     "nibbles": (png_of(4, 4, bits=4), "holds 4 bit pixels"),

@@ -1,6 +1,5 @@
 """Digests of code: what an edit of one module touches, and what not."""
 
-import hashlib
 import json
 from pathlib import Path
 
@@ -46,7 +45,10 @@ EDITS = {
 
 @pytest.mark.parametrize(("edited", "touched"), EDITS.items(), ids=EDITS)
 def test_an_edit_changes_just_what_imports_it(tmp_path, edited, touched):
-    """Directly, through others, inside functions, in a ring; not what types alone need, which never runs."""
+    """Directly, through others, inside functions, in a ring; not what types alone need, which never runs.
+
+    Equal sources in two folders have equal digests, so that results travel.
+    """
     text = next(t for name, t in FILES.items() if Path(name).stem == edited)
     before, after = tree(tmp_path / "a"), tree(tmp_path / "b", **{edited: text + "# edited\n"})
     changed = {
@@ -64,12 +66,6 @@ def test_a_renamed_module_changes_the_digest(tmp_path):
     digest = provenance.code_digest
     assert digest("pkg.leaf", root=base) != digest("pkg.leaf2", root=base)
     assert digest("pkg.leaf", "pkg.alone", root=base) == digest("pkg.alone", "pkg.leaf", root=base)
-
-
-def test_a_digest_does_not_depend_on_the_place(tmp_path):
-    """Equal sources in two folders: equal digests, so that results travel."""
-    one, two = tree(tmp_path / "one"), tree(tmp_path / "two")
-    assert provenance.code_digest("pkg.user", root=one) == provenance.code_digest("pkg.user", root=two)
 
 
 def test_the_packages_above_a_module_count(tmp_path):
@@ -95,12 +91,6 @@ def test_what_a_notebook_imports(tmp_path):
     path = tree(tmp_path) / "n.ipynb"
     path.write_text(json.dumps({"cells": cells}))
     assert provenance.list_notebook_imports(path, tmp_path) == ["pkg", "pkg.leaf", "pkg.middle"]
-
-
-def test_file_digest(tmp_path):
-    """SHA-256, against a digest of bytes in memory."""
-    (tmp_path / "f").write_bytes(bytes(range(256)) * 1000)
-    assert provenance.file_digest(tmp_path / "f") == hashlib.sha256(bytes(range(256)) * 1000).hexdigest()
 
 
 @pytest.mark.parametrize("stage", ["fit", "crop", "simulate"])

@@ -16,7 +16,7 @@ import xarray as xr
 from spotcheck.dataset import folder as dataset
 from spotcheck.errors import InputError
 from spotcheck.io import store
-from tests.samples.small_datasets import HEADER, ROOT, folder
+from tests.samples.small_datasets import ROOT, folder
 
 ROWS = ["frames/a.tif,spot,0,1e-4,0", "frames/b.tif,spot,90,9e-4,1"]
 VARIABLES = {
@@ -93,13 +93,6 @@ def test_equal_inputs_give_equal_bytes(tmp_path):
         assert {"written", "host", "python", "packages"} <= set(sidecar)
 
 
-def test_other_values_give_other_bytes(tmp_path):
-    """The counterpart: one number changed shows."""
-    store.write(good(), tmp_path / "a.nc", code="c")
-    store.write(good().assign(value=good()["value"] + 1), tmp_path / "b.nc", code="c")
-    assert (tmp_path / "a.nc").read_bytes() != (tmp_path / "b.nc").read_bytes()
-
-
 def test_cells_never_written_are_nan_and_missing(tmp_path):
     """Floats NaN, integers −1, status the flag `missing`; the one cell that was written holds what it was given."""
     ds = dataset.load(folder(tmp_path, ROWS))
@@ -128,14 +121,6 @@ def test_an_axis_that_was_not_recorded(tmp_path):
         assert out.sizes["angle"] == out.sizes["exposure"] == 1
         assert [axis in out.coords for axis in ("angle", "exposure", "repeat")] == [False, False, True]
         assert store.grid_dims(out) == ("angle", "exposure", "repeat")
-
-
-def test_conditions_are_dimensions(tmp_path):
-    """A declared condition's dimension bears its column's name and the unit of its suffix."""
-    rows = ["frames/a.tif,spot,0,1e-4,0,0.1", "frames/b.tif,spot,0,1e-4,0,0.2"]
-    ds = dataset.load(folder(tmp_path, rows, "conditions: [z_m]", HEADER + ",z_m"))
-    grid = store.make_grid(ds)
-    assert grid["z_m"].values.tolist() == [0.1, 0.2] and grid["z_m"].attrs["units"] == "m"
 
 
 @pytest.mark.parametrize("earlier", [False, True])
