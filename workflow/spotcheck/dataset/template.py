@@ -7,7 +7,7 @@ from pathlib import Path
 from spotcheck.dataset.manifest import REQUIRED_COLUMNS
 from spotcheck.dataset.scan.draft import ManifestDraft
 from spotcheck.io import store
-from spotcheck.io.schema import read_schema
+from spotcheck.io.schema import read_schema, read_yaml
 
 # Most entries of unused metadata that instrument.yaml lists.
 MOST_UNUSED = 30
@@ -15,20 +15,8 @@ MOST_UNUSED = 30
 COMMENT_COLUMN = 34
 # Row of a manifest without frames; `spotcheck check` asks to replace it.
 EXAMPLE_ROW = {"file": "frames/first.tif", "kind": "spot", "angle_deg": "0", "exposure_s": "0.0001", "repeat": "0"}
-MANIFEST_COMMENTS = """\
-# One row a frame, in the order of acquisition. Lines that start with # are comments.
-# file: relative to this folder. kind: spot, dark (no light) or flat (homogeneous light).
-# angle_deg: orientation of the sample; exposure_s: in seconds. Leave either blank in every row where it was
-# not recorded, and in rows of dark and flat frames where it has no meaning.
-# repeat: 0, 1, 2 ... within a condition; frames of one angle and repeat look at the same site. Number on
-# through all exposures where the sample moved between them.
-# page: of a stack, counted from 0; other files need no such column. Other columns are carried along; name
-# those that are axes of the experiment under `conditions` in instrument.yaml.
-"""
-INSTRUMENT_COMMENTS = """\
-# Take the # off the keys that you know. A missing key is never an error: it is taken from the frames
-# where they allow it, else the report says what could not be computed for want of it.
-"""
+# File of the comments at the start of manifest.csv and of instrument.yaml, by the keys "manifest" and "instrument".
+COMMENTS = Path(__file__).with_name("template_comments.yaml")
 # Value and source of each known key of instrument.yaml, such as "sensor.bit_depth".
 KnownKeys = dict[str, tuple[object, str]]
 # Key of the law of the peak over exposure time, and its value and source where exposure times are missing.
@@ -59,7 +47,7 @@ def list_settable_keys() -> dict[str, dict]:
 def format_manifest(draft: ManifestDraft | None) -> str:
     """Return the text of manifest.csv: comments, header, and the rows of the draft or else an example."""
     text = io.StringIO()
-    text.write(MANIFEST_COMMENTS)
+    text.write(read_yaml(COMMENTS)["manifest"])
     columns = draft.columns if draft else REQUIRED_COLUMNS
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -70,7 +58,7 @@ def format_manifest(draft: ManifestDraft | None) -> str:
 def format_instrument(draft: ManifestDraft | None, crop_px: int | None) -> str:
     """Return the text of instrument.yaml: known keys with their source, the others as comments with their meaning."""
     known_keys = collect_known_keys(draft, crop_px) if draft else {}
-    lines = [INSTRUMENT_COMMENTS]
+    lines = [read_yaml(COMMENTS)["instrument"]]
     for name, schema in read_schema("instrument")["properties"].items():
         if schema["type"] == "object":
             section = {f"{name}.{key}": key_schema for key, key_schema in schema["properties"].items()}

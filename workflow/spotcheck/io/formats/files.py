@@ -25,26 +25,22 @@ class Reader(Protocol):
         """Return the stored pixels of a page [row, column] or [row, column, channel], in native byte order."""
 
 
-# First bytes of a file, name of its format, and the reader of the format.
-READERS: tuple[tuple[tuple[bytes, ...], str, Reader], ...] = (
+# First bytes of a file, name of its format, and its reader; None for formats that are only named in a message.
+READERS: tuple[tuple[tuple[bytes, ...], str, Reader | None], ...] = (
     (tiff.SIGNATURES, "TIFF", tiff),
     ((png.SIGNATURE,), "PNG", png),
     ((b"P2", b"P5", *pgm.OTHERS), "PGM", pgm),
     ((npy.SIGNATURE,), "NumPy", npy),
     ((hdf5.SIGNATURE,), "HDF5", hdf5),
-)
-# First bytes and names of formats that are recognized only to name them in a message.
-UNREAD_FORMATS = (
-    (b"BM", "BMP"),
-    (b"\xff\xd8\xff", "JPEG"),
-    (b"GIF8", "GIF"),
-    (b"\0\0\0\x0cjP  ", "JPEG 2000"),
-    (b"\xff\x4f\xff\x51", "JPEG 2000"),
-    (b"SIMPLE  =", "FITS"),
-    (b"CDF", "netCDF of the classic model (nccopy -k netCDF-4 makes netCDF-4 of it)"),
-    (b"RIFF", "WebP or AVI"),
-    (b"8BPS", "Photoshop"),
-    (b"PK\3\4", "a ZIP archive"),
+    ((b"BM",), "BMP", None),
+    ((b"\xff\xd8\xff",), "JPEG", None),
+    ((b"GIF8",), "GIF", None),
+    ((b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51"), "JPEG 2000", None),
+    ((b"SIMPLE  =",), "FITS", None),
+    ((b"CDF",), "netCDF of the classic model (nccopy -k netCDF-4 makes netCDF-4 of it)", None),
+    ((b"RIFF",), "WebP or AVI", None),
+    ((b"8BPS",), "Photoshop", None),
+    ((b"PK\3\4",), "a ZIP archive", None),
 )
 # First bytes of a file in which its signature is looked for, and most characters of the text of an error in a message.
 SIGNATURE_BYTES, LONGEST_REASON = 16, 120
@@ -132,12 +128,11 @@ def _detect_format(path: Path, name: str) -> tuple[str, Reader]:
         first_bytes = stream.read(SIGNATURE_BYTES)
     for signatures, format_name, reader in READERS:
         if first_bytes.startswith(signatures):
+            if reader is None:
+                raise InputError(
+                    f"{name}: is {format_name} by its first bytes, which is not read; save it as TIFF, PNG or PGM"
+                )
             return format_name, reader
-    for signature, format_name in UNREAD_FORMATS:
-        if first_bytes.startswith(signature):
-            raise InputError(
-                f"{name}: is {format_name} by its first bytes, which is not read; save it as TIFF, PNG or PGM"
-            )
     raise InputError(
         f"{name}: cannot be read as an image: by its first bytes it is none of TIFF, PNG, PGM, HDF5, netCDF-4 and .npy,"
         " or it is cut short; copy the file again"
