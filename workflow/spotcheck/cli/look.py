@@ -34,20 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="position of each image along the beam [m], or with a unit as in 176mm, in the order of the images"
         " (default: from names such as z_176mm.tif); --z=-0.1,0,0.1 if the first is below 0",
     )
-    parser.add_argument(
-        "--wavelength-nm",
-        dest="wavelength_m",
-        type=partial(_parse_length, "nm"),
-        metavar="NM",
-        help="wavelength [nm], for M² of a scan",
-    )
-    parser.add_argument(
-        "--pixel-um",
-        dest="pixel_pitch_m",
-        type=partial(_parse_length, "µm"),
-        metavar="UM",
-        help="distance of two pixels [µm], for widths in µm and M²",
-    )
+    for option, name, unit, text in (
+        ("--wavelength-nm", "wavelength_m", "nm", "wavelength [nm], for M² of a scan"),
+        ("--pixel-um", "pixel_pitch_m", "µm", "distance of two pixels [µm], for widths in µm and M²"),
+    ):
+        parse = partial(_parse_length, unit)
+        parser.add_argument(option, dest=name, type=parse, metavar=option[-2:].upper(), help=text)
     parser.add_argument("--json", action="store_true", help="print JSON; a page is then written only with --output")
     parser.add_argument(
         "--output", type=Path, metavar="FOLDER", help=f"folder for the page and its first picture (default: {FOLDER})"
