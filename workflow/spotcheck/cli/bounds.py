@@ -13,7 +13,6 @@ import argparse
 import numpy as np
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
-from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.bounds import compute_bounds
 from spotcheck.io import provenance, store
@@ -21,7 +20,10 @@ from spotcheck.io import provenance, store
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, "calibration", "sensor", output="bounds.nc")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--calibration", required=True, help="calibration.nc")
+    parser.add_argument("--sensor", required=True, help="sensor.nc")
+    parser.add_argument("--output", required=True, help="bounds.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -14,7 +14,6 @@ import argparse
 import math
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
-from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.calibration import SIMULATION_ESTIMATOR, calibrate
 from spotcheck.io import provenance, store
@@ -22,7 +21,11 @@ from spotcheck.io import provenance, store
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, "crops", "fits", "sensor", output="calibration.nc")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--crops", required=True, help="crops.nc")
+    parser.add_argument("--fits", required=True, help="fits.nc")
+    parser.add_argument("--sensor", required=True, help="sensor.nc")
+    parser.add_argument("--output", required=True, help="calibration.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

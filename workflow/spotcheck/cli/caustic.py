@@ -9,7 +9,6 @@ spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/
 
 import argparse
 
-from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.scan_caustic import ESTIMATORS, compute_caustic, explain_no_scan, select_beam_rows
 from spotcheck.fitting.scan_widths import measure_scan_moments
@@ -19,7 +18,9 @@ from spotcheck.io.number_text import quantity_text
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, "fits", output="caustic.nc")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--fits", required=True, help="fits.nc")
+    parser.add_argument("--output", required=True, help="caustic.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

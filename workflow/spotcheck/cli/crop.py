@@ -8,7 +8,6 @@ spotcheck crop my-frames --frames out/my-frames/frames.nc --output out/my-frames
 import argparse
 from pathlib import Path
 
-from spotcheck.cli import file_options
 from spotcheck.crops.cropping import crop_spots
 from spotcheck.dataset import folder
 from spotcheck.io import provenance, store
@@ -16,7 +15,9 @@ from spotcheck.io import provenance, store
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, "frames", output="crops.nc")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
+    parser.add_argument("--output", required=True, help="crops.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -10,7 +10,7 @@ spotcheck flats my-flats --frames out/my-flats/frames.nc --output out/my-flats/v
 
 import argparse
 
-from spotcheck.cli import effect_options, file_options, tolerance
+from spotcheck.cli import effect_options, tolerance
 from spotcheck.dataset import file_cache, folder
 from spotcheck.discrepancy.flats import analyse_flats
 from spotcheck.discrepancy.sentence import summarize_verdict
@@ -25,8 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     `tolerance` adds --tolerance, `effect_options` adds --effects, --only and --without.
     """
-    file_options.add_arguments(parser, "frames", output="verdict.json")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
     tolerance.add_option(parser)
+    parser.add_argument("--output", required=True, help="verdict.json to write")
     effect_options.add_options(parser)
 
 

@@ -8,7 +8,6 @@ spotcheck ingest my-frames --output out/my-frames/frames.nc
 import argparse
 from pathlib import Path
 
-from spotcheck.cli import file_options
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
@@ -16,7 +15,8 @@ from spotcheck.io import provenance, store
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, output="frames.nc")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--output", required=True, help="frames.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -13,9 +13,8 @@ spotcheck judge my-frames --crops out/my-frames/crops.nc --sensor out/my-frames/
 import argparse
 import ctypes
 import sys
-from contextlib import ExitStack
 
-from spotcheck.cli import effect_options, file_options, tolerance
+from spotcheck.cli import effect_options, tolerance
 from spotcheck.dataset import folder
 from spotcheck.discrepancy.judgement import ModelFiles, judge_spots, write_model_files
 from spotcheck.discrepancy.sentence import summarize_verdict
@@ -32,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     `tolerance` adds --tolerance, `effect_options` adds --effects, --only and --without.
     """
-    file_options.add_arguments(parser, "crops", "sensor", output="verdict.json")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--crops", required=True, help="crops.nc")
+    parser.add_argument("--sensor", required=True, help="sensor.nc")
     parser.add_argument(
         "--fits", help="fits.nc with starting values of the model (default: each frame is first fitted)"
     )
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pictures", required=True, help="discrepancy.nc to write")
     parser.add_argument("--model", required=True, help="model.yaml to write, which `spotcheck simulate` runs")
     parser.add_argument("--light", required=True, help="light.nc to write, beside model.yaml: the learned light shape")
+    parser.add_argument("--output", required=True, help="verdict.json to write")
     effect_options.add_options(parser)
 
 
@@ -51,16 +53,15 @@ def run(args: argparse.Namespace) -> None:
     effect_options.apply_options(args)
     use_single_heap()
     dataset, limits = folder.load(args.dataset), tolerance.parse_tolerance(args.tolerance)
-    with ExitStack() as stack:
-        crops, sensor = (stack.enter_context(store.read(path)) for path in (args.crops, args.sensor))
-        fits = stack.enter_context(store.read(args.fits)) if args.fits else None
-        judgement = judge_spots(dataset, crops, sensor, fits)
+    paths = {name: path for name in ("crops", "sensor", "fits") if (path := getattr(args, name))}
+    with store.read_files(paths) as files:
+        judgement = judge_spots(dataset, files["crops"], files["sensor"], files.get("fits"))
     verdict = compose_verdict(judgement.findings, dataset.name, alpha=limits.alpha, tolerance=limits.of_peak)
     verdict |= {"sentence": summarize_verdict(verdict)} | effect_options.describe_difference()
     code = provenance.code_digest(__name__)
-    inputs = [args.crops, args.sensor, *filter(None, [args.fits]), *args.effects]
-    files = ModelFiles(args.pictures, args.model, args.light, code, inputs)
-    write_model_files(dataset, judgement, verdict["status"], verdict["detection"]["alpha"], files)
+    inputs = [*paths.values(), *args.effects]
+    model_files = ModelFiles(args.pictures, args.model, args.light, code, inputs)
+    write_model_files(dataset, judgement, verdict["status"], verdict["detection"]["alpha"], model_files)
     write_verdict(verdict, args.output, code=code, inputs=inputs)
     print(verdict["sentence"])
 

@@ -13,7 +13,6 @@ import argparse
 import numpy as np
 
 from spotcheck.characterization.sensor_choice import read_sensor_model
-from spotcheck.cli import file_options
 from spotcheck.dataset import folder
 from spotcheck.fitting.precision import compute_precision
 from spotcheck.io import provenance, store
@@ -21,8 +20,11 @@ from spotcheck.io import provenance, store
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, "calibration", "sensor", output="precision.nc")
+    parser.add_argument("dataset", help="dataset folder")
     parser.add_argument("--fits", nargs=2, required=True, metavar=("MEASURED", "SIMULATED"), help="fits.nc of both")
+    parser.add_argument("--calibration", required=True, help="calibration.nc")
+    parser.add_argument("--sensor", required=True, help="sensor.nc")
+    parser.add_argument("--output", required=True, help="precision.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -14,15 +14,17 @@ import argparse
 from spotcheck.characterization.dataset_sensor import choose_dataset_sensor
 from spotcheck.characterization.sensor_choice import QUANTITIES
 from spotcheck.characterization.transfer_data import read_quantities
-from spotcheck.cli import file_options
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, "crops", "frames", output="sensor.nc")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--crops", required=True, help="crops.nc of the dataset")
+    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
     parser.add_argument("--transfer", nargs="*", default=[], help="transfer.nc, if the dataset has flats or darks")
+    parser.add_argument("--output", required=True, help="sensor.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:

@@ -12,7 +12,6 @@ import argparse
 from spotcheck.characterization.characterise import analyse_ingested_frames
 from spotcheck.characterization.fixed_pattern import add_patterns
 from spotcheck.characterization.transfer_data import build_transfer_dataset, read_quantities
-from spotcheck.cli import file_options
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset import file_cache, folder
 from spotcheck.io import provenance, store
@@ -20,7 +19,9 @@ from spotcheck.io import provenance, store
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the subcommand to its parser."""
-    file_options.add_arguments(parser, "frames", output="transfer.nc")
+    parser.add_argument("dataset", help="dataset folder")
+    parser.add_argument("--frames", required=True, help="frames.nc of the dataset")
+    parser.add_argument("--output", required=True, help="transfer.nc to write")
 
 
 def run(args: argparse.Namespace) -> None:
