@@ -10,8 +10,7 @@ from spotcheck.cli.pipeline import judge_dataset
 from spotcheck.errors import InputError
 from spotcheck.model.design import simulate_dataset
 from spotcheck.model.effects import chosen
-from spotcheck.report.pages.effects import MEAN_EXAMPLE
-from tests.samples.effect_cases import written
+from tests.samples.effect_cases import MEAN_EXAMPLE, written
 from tests.samples.example_datasets import design
 
 

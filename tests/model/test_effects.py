@@ -21,6 +21,7 @@ from tests.samples.effect_cases import (
     FRINGES,
     GHOST,
     HALO,
+    MEAN_EXAMPLE,
     PEDESTALS,
     SCALES,
     SENSOR,
@@ -201,9 +202,7 @@ def test_a_new_effect_can_be_fitted(vignetting):
 
 def test_a_file_in_the_folder_is_an_effect_of_the_library(tmp_path, monkeypatch):
     """Without any list that names it; in its place by number."""
-    written(
-        tmp_path, "vignetting", page.MEAN_EXAMPLE.replace('name="vig', f'number={len(CONTRACT) + 1},\n    name="vig')
-    )
+    written(tmp_path, "vignetting", MEAN_EXAMPLE.replace('name="vig', f'number={len(CONTRACT) + 1},\n    name="vig'))
     monkeypatch.setattr(effects, "__path__", [*effects.__path__, str(tmp_path)])
     effects.built_in.cache_clear()
     importlib.invalidate_caches()

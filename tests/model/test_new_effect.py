@@ -15,10 +15,9 @@ from spotcheck.cli import main
 from spotcheck.io import store
 from spotcheck.model.effects import Choice, choose
 from spotcheck.model.simulation import STACK
-from spotcheck.report.pages.effects import MEAN_EXAMPLE, RANDOM_EXAMPLE
 from tests.reference.numpy_chain import draw
 from tests.samples import small_set as small
-from tests.samples.effect_cases import written
+from tests.samples.effect_cases import MEAN_EXAMPLE, RANDOM_EXAMPLE, written
 from tests.samples.small_datasets import folder
 
 

@@ -20,13 +20,12 @@ from spotcheck.model.effects import Choice, built_in, vocabulary
 from spotcheck.model.stage import Stage
 from spotcheck.report.dataset_page.evidence import tabulate_evidence
 from spotcheck.report.pages import TEMPLATES
-from spotcheck.report.pages import effects as page
 from spotcheck.report.pages.citations import Citations
+from tests.samples.effect_cases import MEAN_EXAMPLE as SOUND
+from tests.samples.effect_cases import RANDOM_EXAMPLE as RANDOM
 from tests.samples.effect_cases import knowing, written
 from tests.samples.findings_cases import whole
 from tests.samples.small_datasets import ROOT, folder
-
-SOUND, RANDOM = page.MEAN_EXAMPLE, page.RANDOM_EXAMPLE
 
 
 def changed(old: str, new: str, text: str = SOUND) -> str:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from spotcheck.paper.rivals import inference, predictions, summaries, worlds
-from spotcheck.report.figures import rivals, style
+from spotcheck.report.figures import style
+from tests.validation.rival_figures import DRAWINGS
 from tests.validation.rivals import format_table
 
 WORLDS = {world.name: world for world in worlds.WORLDS}
@@ -129,7 +130,7 @@ def stored_record() -> dict:
 def test_figures_and_table_of_a_stored_result_say_what_it_holds(tmp_path):
     record = stored_record()
     captions = {}
-    for name, draw in rivals.DRAWINGS:
+    for name, draw in DRAWINGS:
         with style.house_style():
             drawing = draw(record)
             style.save_drawing(drawing, tmp_path, name)

@@ -18,6 +18,13 @@ from spotcheck.model.effects import Choice, choose, vocabulary
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
 from spotcheck.sensor import SensorModel
+from tests.samples.small_datasets import ROOT
+
+# The examples of effects in a file that the page of effects shows: one that changes the mean, and one that is random.
+MEAN_EXAMPLE, RANDOM_EXAMPLE = (
+    part.split("```")[0]
+    for part in (ROOT / "workflow/docs/effects.md").read_text(encoding="utf-8").split("```python\n")[1:]
+)
 
 
 @contextmanager

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from spotcheck.paper.rivals import inference, predictions, summaries, worlds
-from spotcheck.report.figures import rivals, style
+from spotcheck.report.figures import style
 from tests.samples.small_datasets import ROOT
+from tests.validation.rival_figures import DRAWINGS, MISSED_P
 
 STORED = ROOT / "data" / "rival_worlds.json"
 FOLDER = ROOT / "results" / "rivals"
@@ -34,7 +35,7 @@ def main() -> None:
     args = parser.parse_args()
     if not args.draw:
         STORED.write_text(json.dumps(compute(args), indent=1) + "\n", encoding="utf-8")
-    publish(rivals.read_worlds(STORED))
+    publish(json.loads(STORED.read_text(encoding="utf-8")))
 
 
 def compute(args: argparse.Namespace) -> dict[str, Any]:
@@ -62,7 +63,7 @@ def compute(args: argparse.Namespace) -> dict[str, Any]:
 
 def publish(record: dict[str, Any]) -> None:
     """Write figures and table of a stored result."""
-    for name, draw in rivals.DRAWINGS:
+    for name, draw in DRAWINGS:
         with style.house_style():
             style.save_drawing(draw(record), FOLDER, name)
     (FOLDER / "worlds.md").write_text(format_table(record), encoding="utf-8")
@@ -83,7 +84,7 @@ def format_table(record: dict[str, Any]) -> str:
         named, unknown = counts.pop(name), counts.pop("cannot tell")
         lines.append(
             f"| {name}: {world['title']} | {world['chi2_fitted']:.0f} | {world['log_score']:.0f}"
-            f" | {sum(p < rivals.MISSED_P for p in p_values)} | {world['photon_gain']:.3g}"
+            f" | {sum(p < MISSED_P for p in p_values)} | {world['photon_gain']:.3g}"
             f" | {named}, {sum(counts.values())}, {unknown} |"
         )
     return "\n".join(lines) + "\n"

@@ -1,12 +1,12 @@
 """House style of the figures: sizes, colours, units on axes, and reproducible files."""
 
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import matplotlib
+import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
@@ -16,35 +16,9 @@ from matplotlib.image import AxesImage
 from spotcheck.io import store
 
 WIDTH = 6.5  # inch, the width of a page's text
-DPI = 150  # resolution of the PNG files [pixel / inch]
 FORMATS = ("svg", "png")  # file formats, as suffixes
 # Settings of Matplotlib for all figures.
-RC: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9,
-    "axes.labelsize": 9,
-    "axes.titlesize": 9,
-    "xtick.labelsize": 8.5,
-    "ytick.labelsize": 8.5,
-    "legend.fontsize": 8.5,
-    "legend.frameon": False,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.6,
-    "axes.axisbelow": True,
-    "axes.linewidth": 0.8,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 5,
-    "errorbar.capsize": 3,
-    "image.interpolation": "nearest",
-    "image.origin": "upper",
-    "svg.hashsalt": "spotcheck",
-    "svg.fonttype": "path",
-    "savefig.dpi": DPI,
-    "savefig.facecolor": "white",
-}
+HOUSE_STYLE = Path(__file__).with_name("house.mplstyle")
 # Readable in grey print and with colour blindness: luminance is monotonic along the first map, and along each half of
 # the second.
 IMAGE_MAP, DIVERGING_MAP = "magma", "RdBu_r"
@@ -96,13 +70,9 @@ class DisplayUnit(NamedTuple):
     symbol: str  # symbol with prefix; "" for the unit 1
 
 
-@contextmanager
-def house_style() -> Iterator[None]:
-    """Apply `RC` inside a with block; the user's matplotlibrc has no effect there."""
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(RC)
-        yield
+def house_style() -> AbstractContextManager[None]:
+    """Return a context manager that applies `HOUSE_STYLE`; the user's matplotlibrc has no effect within it."""
+    return matplotlib.style.context(HOUSE_STYLE, after_reset=True)
 
 
 def new_figure(

@@ -16,72 +16,8 @@ from spotcheck.model.stage import Stage
 from spotcheck.report.pages import TEMPLATES
 
 # Names of the scales on the page, in the order of the fields of `EffectScales`.
-SCALE_NAMES = (
-    "σ_g",
-    "peak",
-    "full scale",
-    "crop",
-    "shortest exposure",
-    "read noise",
-    "K",
-    "power of t nearest to p1, p2",
-    "longest exposure",
-)
-
-# Examples of effects that the page shows: one that changes the mean reading, and one that is random.
-MEAN_EXAMPLE = '''"""Vignetting: the light falls off from the frame's centre."""
-
-import numpy as np
-
-from spotcheck.model.effect import Effect, Only, Parameter, Stage, Step
-
-
-def fall_off(frame, light_dn, *, a):
-    """Return the light [DN] times 1 − a (r/100 px)², r from the frame's centre; never below 0."""
-    pixels = frame.pixels
-    r2 = (pixels.x - pixels.centre_x) ** 2 + (pixels.y - pixels.centre_y) ** 2
-    return light_dn * np.maximum(1 - a * r2 / 100**2, 0.0)
-
-
-EFFECT = Effect(
-    name="vignetting",
-    sentence="the light falls off from the frame's centre",
-    parameters=(Parameter("a", "1", 0.0, 1.0),),
-    variants={Only.ONLY: (Step(Stage.MODULATION, fall_off),)},
-    starts=lambda scales: [(0.01,)],
-)
-'''
-RANDOM_EXAMPLE = '''"""Mode hopping: the laser jumps between two modes of different power."""
-
-import numpy as np
-
-from spotcheck.model.effect import Effect, Need, Only, Parameter, RandomStep, Scope, Stage
-
-
-def multiply(frame, peak_dn, factor):
-    """Return the peak [DN] times a factor."""
-    return peak_dn * factor
-
-
-def draw_mode(rng, shape, *, rms):
-    """Return the factor of one frame: 1 − rms or 1 + rms, with equal probability."""
-    return 1 + rms * rng.choice((-1.0, 1.0))
-
-
-def average_modes(*, rms):
-    """Return both factors and their weights."""
-    return np.array([1 - rms, 1 + rms]), np.array([0.5, 0.5])
-
-
-EFFECT = Effect(
-    name="mode_hopping",
-    sentence="the laser jumps between two modes of different power",
-    parameters=(Parameter("rms", "1", 0.0, 1.0),),
-    variants={Only.ONLY: (RandomStep(Stage.BRIGHTNESS, multiply, Scope.FRAME, draw_mode, average_modes),)},
-    starts=lambda scales: [(0.02,)],
-    needs=(Need.FRAMES, Need.LAW),
-)
-'''
+SCALE_NAMES = ("σ_g", "peak", "full scale", "crop", "shortest exposure", "read noise", "K",
+               "power of t nearest to p1, p2", "longest exposure")  # fmt: skip
 
 
 class _Expression:
@@ -211,13 +147,8 @@ def _tabulate_stages(effects: Sequence[Effect]) -> str:
 def render_effects(effects: Iterable[Effect]) -> str:
     """Return the page of effects in Markdown, ordered by their numbers."""
     ordered = sorted(effects, key=lambda effect: effect.number)
-    content = {
-        "stages": _tabulate_stages(ordered),
-        "sections": [describe_effect(effect) for effect in ordered],
-        "mean_example": MEAN_EXAMPLE,
-        "random_example": RANDOM_EXAMPLE,
-    }
-    return TEMPLATES.get_template("effects.md").render(**content)
+    sections = [describe_effect(effect) for effect in ordered]
+    return TEMPLATES.get_template("effects.md").render(stages=_tabulate_stages(ordered), sections=sections)
 
 
 def write_effects_page(path: Path) -> int:

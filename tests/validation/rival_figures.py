@@ -4,9 +4,7 @@ A world is a forward model that was fitted to a part of the printed numbers (`sp
 answer three questions: is the law p1 ln t + p2 a spread of light, what else could it be, and what would settle it.
 """
 
-import json
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,11 +32,6 @@ GAIN_LIMITS, GAIN_TICKS = (1.0, 300.0), (1.0, 10.0, 100.0)
 PRINTED_COLUMN = "print"
 
 
-def read_worlds(path: Path) -> Record:
-    """Return the content of rival_worlds.json."""
-    return json.loads(path.read_text(encoding="utf-8"))
-
-
 def draw_law(record: Record) -> style.Drawing:
     """Draw the fitted width over the exposure, as printed and as each world has it."""
     figure = style.new_figure(3.6)
@@ -58,14 +51,9 @@ def draw_law(record: Record) -> style.Drawing:
         means = dict(zip(names, world["mean"], strict=True))
         ax.plot(measured_us, law_px(means), color=line.colour, dashes=line.dashes)
         short = [_find_prediction(world, f"fitted width, exposure of {1e6 * t:.0f} µs") for t in SHORT_EXPOSURES_S]
-        handles.append(
-            ax.errorbar(
-                [1e6 * exposure_s for exposure_s in SHORT_EXPOSURES_S],
-                [prediction["mean"] for prediction in short],
-                yerr=[prediction["sd"] for prediction in short],
-                color=line.colour, marker=line.marker, dashes=line.dashes, linewidth=0.7,
-            )
-        )  # fmt: skip
+        mean, sd = ([prediction[key] for prediction in short] for key in ("mean", "sd"))
+        look = {"color": line.colour, "marker": line.marker, "dashes": line.dashes, "linewidth": 0.7}
+        handles.append(ax.errorbar(1e6 * np.array(SHORT_EXPOSURES_S), mean, yerr=sd, **look))
         labels.append(name)
     ax.set_xscale("log")
     ax.axvspan(measured_us[0], measured_us[-1], facecolor=style.PRINTED, alpha=0.4, zorder=0.4)
@@ -128,9 +116,8 @@ def draw_scores(record: Record) -> style.Drawing:
     score_ax.barh(y, scores - scores.max(), color=style.MEASURED, height=0.6)
     score_ax.axvline(-DECISIVE_LOG_RATIO, color="0.3", linestyle=style.DASHED)
     score_ax.set_yticks(y, list(worlds))
-    score_ax.set(
-        xlabel="log score − best", xlim=(min(-2 * DECISIVE_LOG_RATIO, 1.1 * (scores - scores.max()).min()), 0.5)
-    )
+    lowest = min(-2 * DECISIVE_LOG_RATIO, 1.1 * (scores - scores.max()).min())
+    score_ax.set(xlabel="log score − best", xlim=(lowest, 0.5))
     score_ax.invert_yaxis()
     gain_ax.plot([world["photon_gain"] for world in worlds.values()], y, "o", color=style.SIMULATED)
     gain_ax.set(xscale="log", xlabel="light / Lambertian", xlim=GAIN_LIMITS)
@@ -157,22 +144,19 @@ def draw_scores(record: Record) -> style.Drawing:
 def draw_experiments(record: Record) -> style.Drawing:
     """Draw what each world predicts for three experiments, and the frames that separate each pair of worlds."""
     worlds = record["worlds"]
-    shown = (
-        "fitted width, exposure of 10 µs",
-        "largest reading, 900 µs behind a filter of 1 %",
-        "radius at 20 % over radius at 80 % of the profile, exposure of 30 µs",
-    )
-    labels = (
-        "width / px\nat 10 µs",
-        "largest reading / DN\nat 900 µs, 1 % filter",
-        "$r_{20\\,\\%}/r_{80\\,\\%}$\nat 30 µs",
-    )
+    # Label of the axis of each experiment.
+    labels = {
+        "fitted width, exposure of 10 µs": "width / px\nat 10 µs",
+        "largest reading, 900 µs behind a filter of 1 %": "largest reading / DN\nat 900 µs, 1 % filter",
+        "radius at 20 % over radius at 80 % of the profile, exposure of 30 µs":
+            "$r_{20\\,\\%}/r_{80\\,\\%}$\nat 30 µs",
+    }  # fmt: skip
     figure = style.new_figure(3.1)
     grid = figure.add_gridspec(1, 4, width_ratios=(1, 1, 1, 1.4))
     y = np.arange(len(worlds))
     styles = style.line_styles(len(worlds))
     first = None
-    for k, (experiment, label) in enumerate(zip(shown, labels, strict=True)):
+    for k, (experiment, label) in enumerate(labels.items()):
         ax = figure.add_subplot(grid[k], sharey=first)
         for row, world, line in zip(y, worlds.values(), styles, strict=True):
             prediction = _find_prediction(world, experiment)
