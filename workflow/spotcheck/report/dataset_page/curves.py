@@ -52,19 +52,20 @@ class Curve(NamedTuple):
 
 def draw_curves(files: Mapping[str, xr.Dataset]) -> list[Curve]:
     """Return every curve for which there are results, except that of the levels, in the order of the page."""
-    curves = [
-        _draw_widths(files),
-        *_draw_metrics(files),
-        _draw_precision(files),
-        _draw_bounds(files),
-        _draw_condition_gaps(files),
-    ]
+    drawings = {"precision": _draw_precision, "bounds": _draw_bounds, "discrepancy": _draw_condition_gaps}
+    curves = [_draw_widths(files), *_draw_metrics(files)]
+    curves += [draw(files[name]) for name, draw in drawings.items() if name in files]
     return [curve for curve in curves if curve is not None]
 
 
 def _make_axis(title: str, **attributes: Any) -> dict[str, Any]:
     """Return a Plotly axis with a title and further attributes; dollar signs of Matplotlib are removed."""
     return {"title": {"text": title.replace("$", "")}, **attributes}
+
+
+def _make_trace(mode: str, name: str, x: Any, y: Any) -> Trace:
+    """Return a trace with coordinates `x` and `y` [point]; `mode` is that of Plotly, `name` stands in the legend."""
+    return {"type": "scatter", "mode": mode, "name": name, "x": np.asarray(x), "y": np.asarray(y)}
 
 
 def _make_points(name: str, x: Any, y: Any, error: Any = None, source: str = "measured", **attributes: Any) -> Trace:
@@ -86,8 +87,7 @@ def _make_points(name: str, x: Any, y: Any, error: Any = None, source: str = "me
     bars = {} if error is None else {"error_y": {"type": "data", "array": np.asarray(error), "thickness": 1}}
     colour = COLOURS[source]
     marker = {"color": colour, "size": 7, "line": {"width": 1, "color": colour}} | attributes.pop("marker", {})
-    trace = {"type": "scatter", "mode": "markers", "name": name, "x": np.asarray(x), "y": np.asarray(y)}
-    return trace | {"marker": marker} | bars | attributes
+    return _make_trace("markers", name, x, y) | {"marker": marker} | bars | attributes
 
 
 def _make_line(name: str, x: Any, y: Any, colour: str = "var(--ink)", dash: str = "solid") -> Trace:
@@ -95,8 +95,7 @@ def _make_line(name: str, x: Any, y: Any, colour: str = "var(--ink)", dash: str 
 
     `name` is shown in the legend; `colour` is a colour of CSS, `dash` a dash style of Plotly.
     """
-    trace = {"type": "scatter", "mode": "lines", "name": name, "x": np.asarray(x), "y": np.asarray(y)}
-    return trace | {"line": {"color": colour, "dash": dash, "width": 1.5}}
+    return _make_trace("lines", name, x, y) | {"line": {"color": colour, "dash": dash, "width": 1.5}}
 
 
 def _draw_widths(files: Mapping[str, xr.Dataset]) -> Curve | None:
@@ -146,18 +145,18 @@ def _draw_metrics(files: Mapping[str, xr.Dataset]) -> list[Curve]:
     """
     if "metrics" not in files:
         return []
-    ds, extended = files["metrics"].sel(centring="light"), files.get("extended_metrics")
-    if extended is not None:
-        extended = None if "skipped" in extended.attrs else extended.sel(centring="light")
+    ds = files["metrics"]
+    # Results, and label in their dimension `source`, of each source of the curves.
+    sources = {"measured": (ds, "measured"), "simulated": (ds, "simulated")}
+    if "extended_metrics" in files:
+        sources["extended"] = files["extended_metrics"], "simulated"
     grid = tuple(str(dim) for dim in ds["psnr"].dims if dim not in ("registration", "data_range"))
     axes, curves = series.choose_axes(ds, grid), []
     for metric in PER_IMAGE:
         points = {
-            source: series.average_frames(ds[metric.name].sel(source=source), axes)
-            for source in ("measured", "simulated")
+            name: series.average_frames(table[metric.name].sel(centring="light", source=source), axes)
+            for name, (table, source) in sources.items()
         }
-        if extended is not None:
-            points["extended"] = series.average_frames(extended[metric.name].sel(source="simulated"), axes)
         if any(statistics.frames.any() for statistics in points.values()):
             unit, name = "" if metric.units == "1" else metric.units, metric.name.replace("_", " ")
             meaning = f"{metric.long_name[0].upper()}{metric.long_name[1:]}"
@@ -203,13 +202,13 @@ def _draw_metric(
     return figure_json(data, {"xaxis": _make_axis(label), "yaxis": _make_axis(title)})
 
 
-def _draw_precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
+def _draw_precision(ds: xr.Dataset) -> Curve | None:
     """Return the Cramér–Rao bound on the width of one frame over exposure, and the scatter of widths over repeats.
 
-    precision.nc has the bound on a fine grid of exposures. Returns None without this file or the bound.
+    `ds` is the content of precision.nc, which has the bound on a fine grid of exposures. Returns None without the
+    bound.
     """
-    ds = files.get("precision")
-    if ds is None or "fine_exposure" not in ds:
+    if "fine_exposure" not in ds:
         return None
     times, unit, _ = series.axis_values(ds, "fine_exposure")
     # Displayed time for 1 s: 1000 if times are displayed in ms.
@@ -234,13 +233,12 @@ def _draw_precision(files: Mapping[str, xr.Dataset]) -> Curve | None:
     return Curve("curve-precision", "Precision of a frame", figure_json(data, layout), caption, "precision")
 
 
-def _draw_bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:
+def _draw_bounds(ds: xr.Dataset) -> Curve | None:
     """Return the Cramér–Rao bound on the width over the number of photons, for each distribution of readings.
 
-    Returns None without bounds.nc or these bounds.
+    `ds` is the content of bounds.nc. Returns None without these bounds.
     """
-    ds = files.get("bounds")
-    if ds is None or "var_sigma_over_photons" not in ds:
+    if "var_sigma_over_photons" not in ds:
         return None
     names_by_law = {str(law): READING_LAWS.get(str(law), str(law)) for law in ds["law"].values}
     bound = ds["var_sigma_over_photons"] ** 0.5
@@ -257,18 +255,15 @@ def _draw_bounds(files: Mapping[str, xr.Dataset]) -> Curve | None:
     return Curve("curve-bounds", "Fig. 13: Bounds over photons", figure_json(data, layout), caption)
 
 
-def _draw_condition_gaps(files: Mapping[str, xr.Dataset]) -> Curve | None:
+def _draw_condition_gaps(ds: xr.Dataset) -> Curve | None:
     """Return the misfit of each condition before and after the effects of the verdict were added to the model.
 
-    discrepancy.nc has the gap of each condition, which is the mean square of block residuals over that of their noise
-    [1]. The curve shows its square root. Returns None if the gap was not measured.
+    `ds` is the content of discrepancy.nc. It has the gap of each condition, which is the mean square of block residuals
+    over that of their noise [1]. The curve shows its square root. Returns None if the gap was not measured.
     """
-    ds = files.get("discrepancy")
-    if ds is None or "gap_before" not in ds:
+    if "gap_before" not in ds:
         return None
-    dims = [str(dim) for dim in ds["gap_before"].dims]
-    indices = np.ndindex(*(ds.sizes[dim] for dim in dims))
-    names = [series.condition_text(ds, dict(zip(dims, index, strict=True))) for index in indices]
+    names = [series.condition_text(ds, place) for place in series.iterate_places(ds, map(str, ds["gap_before"].dims))]
     data = []
     # The sources give the colours only.
     for name, source, symbol in (("before", "simulated", "circle-open"), ("after", "measured", "circle")):
@@ -306,14 +301,12 @@ def draw_levels(transfer: xr.Dataset | None) -> Curve | None:
         ends = np.array([0.0, signal[is_fitted].max()])
         data.append(_make_line("straight line of the gain K", ends, gain * ends, "var(--simulated)", "dash"))
     response = fit_response_line(transfer)
-    # Relative deviation of the signal from the line [%].
-    deviation = 100 * (signal / response.predict(response.light) - 1)
     stderr = 100 * transfer["flat_mean_stderr"].values / np.abs(signal)
-    limit = DEVIATION_MARGIN * float(np.nanmax(np.abs(deviation[response.is_used]), initial=LEAST_DEVIATION))
+    limit = DEVIATION_MARGIN * float(np.nanmax(np.abs(response.deviation[response.is_used]), initial=LEAST_DEVIATION))
     data += [
         trace | {"xaxis": "x2", "yaxis": "y2", "showlegend": False}
         for trace in (
-            _make_points("deviation", signal, deviation, stderr, hovertemplate=f"{hover}%<extra></extra>"),
+            _make_points("deviation", signal, response.deviation, stderr, hovertemplate=f"{hover}%<extra></extra>"),
             _make_line("straight line", [0.0, float(np.nanmax(signal))], [0.0, 0.0], "var(--simulated)", "dash"),
         )
     ]

@@ -129,14 +129,14 @@ def _limit_row(limit: Mapping[str, Any], effect: Effect | None, citations: Citat
     }
 
 
-def tabulate_data_sheet(verdict: dict[str, Any] | None, citations: Citations) -> dict[str, Any] | None:
+def tabulate_data_sheet(verdict: dict[str, Any], citations: Citations) -> dict[str, Any] | None:
     """Return the variable `sheet` of sheet.html: numbers of the data sheet beside the same numbers as fitted.
 
     The fit combines data sheet and frames. Each row has name, stated and fitted value, shift, and whether the frames
-    contradict the data sheet. The shift is (fitted − stated) / standard error of the stated value. Returns None without
-    a verdict, or if no number of the data sheet was fitted.
+    contradict the data sheet. The shift is (fitted − stated) / standard error of the stated value. Returns None if no
+    number of the data sheet was fitted.
     """
-    if not verdict or not verdict["sheet"]:
+    if not verdict["sheet"]:
         return None
     rows = []
     for entry in verdict["sheet"]:

@@ -7,6 +7,7 @@ includes these effects. Functions return parts of the page as variables of the t
 
 import base64
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,14 @@ FRAME_RESULTS = ("crops", "simulated", "views", "extended")
 Content = dict[str, Any]  # variables of the template report.html by name
 Stages = dict[str, xr.Dataset]  # contents of netCDF files by file name without suffix
 
+# Functions that return the table of a result, by the name of its file, which is also that of the variable of the page.
+TABLES: dict[str, Callable[[xr.Dataset, Citations], Any]] = {
+    "sensor": tables.tabulate_sensor,
+    "transfer": tables.tabulate_transfer,
+    "calibration": tables.tabulate_calibration,
+    "caustic": tables.describe_caustic,
+    "precision": tables.tabulate_precision,
+}
 # Titles of the tables from docstrings, by their path below the results folder.
 TABLES_OF_CODE = {
     "docs/equations.html": "Equations of the paper, with the functions and tests of each",
@@ -100,21 +109,18 @@ def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> C
 
 def _tabulate_results(dataset: Dataset, available: Stages, citations: Citations) -> Content:
     """Return the tables of the results; `available` are the files of stages that were not skipped."""
-    fits = available.get("fits")
-    return {
-        "sensor": tables.tabulate_sensor(available.get("sensor"), citations),
-        "sensor_sources": SOURCES,
-        "transfer": tables.tabulate_transfer(available.get("transfer"), citations),
-        "calibration": tables.tabulate_calibration(available.get("calibration"), citations),
-        "levels": tables.tabulate_levels(dataset, available),
-        "models": tables.tabulate_models(available.get("metrics"), available.get("extended_metrics")),
-        "caustic": tables.describe_caustic(available.get("caustic"), citations),
-        "precision": tables.tabulate_precision(available.get("precision"), citations),
-        "fits": tables.tabulate_fits(dataset, fits, citations),
-        "fit_method": tables.describe_fit(fits),
-        "flagged": tables.list_flagged_frames(dataset, fits),
-        "parameters": tabulate_parameters(dataset, available, citations),
-    }
+    content = {name: tabulate(available[name], citations) for name, tabulate in TABLES.items() if name in available}
+    if (fits := available.get("fits")) is not None:
+        content["fits"] = tables.tabulate_fits(dataset, fits, citations)
+        # Method of these fits in words.
+        content["fit_method"] = fits.attrs[f"fit_{fits.attrs['preferred']}"]
+        content["flagged"] = tables.list_flagged_frames(dataset, fits)
+    if {"calibration", "sensor"} <= available.keys():
+        content["levels"] = tables.tabulate_levels(dataset, available)
+    if {"metrics", "extended_metrics"} <= available.keys():
+        content["models"] = tables.tabulate_models(available["metrics"], available["extended_metrics"])
+    parameters = tabulate_parameters(dataset, available, citations)
+    return content | {"sensor_sources": SOURCES, "parameters": parameters}
 
 
 def _collect_figures(dataset: Dataset, results: Path, available: Stages) -> Content:
@@ -217,7 +223,7 @@ def _list_links(content: Content) -> list[tuple[str, str]]:
         ("light", "Light", content["light"]),
         ("sheet", "Data sheet", content.get("sheet")),
         ("figures", "Figures", content["curves"]),
-        ("sensor", "Sensor", content["sensor"] or content["transfer"]),
+        ("sensor", "Sensor", content.get("sensor") or content.get("transfer")),
         ("numbers", "The paper's numbers", content["numbers"]),
         ("skipped", "Skipped", True),
     )

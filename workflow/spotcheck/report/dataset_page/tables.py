@@ -2,8 +2,8 @@
 
 The width of the spot at the exposure t is p1 ln t + p2 [px]. The calibration estimates p1, p2 and the peak [DN] of a
 spot by several estimators, of which the simulation uses one. A site is a place on the sample with its own p1 and p2.
-An argument that is named like a netCDF file holds the content of this file; it is None if the file is missing or its
-stage was skipped. Numbers are marked text: HTML that shows the source of a number on hover.
+An argument that is named like a netCDF file holds the content of this file. Numbers are marked text: HTML that shows
+the source of a number on hover.
 """
 
 import csv
@@ -61,13 +61,11 @@ def summarize_frames(frames: xr.Dataset) -> str:
     return f"{kind_texts} frames of {size}, {largest}"
 
 
-def tabulate_sensor(sensor: xr.Dataset | None, citations: Citations) -> list[Row]:
+def tabulate_sensor(sensor: xr.Dataset, citations: Citations) -> list[Row]:
     """Return a row for each quantity of the sensor: the value in use and its source, and the value by each source.
 
-    Sources are, for example, the data sheet and the flats. Returns [] without sensor.nc.
+    Sources are, for example, the data sheet and the flats.
     """
-    if sensor is None:
-        return []
     rows = []
     for name, (unit, long_name) in SENSOR_QUANTITIES.items():
         value, error = float(sensor[name]), float(sensor[f"{name}_stderr"])
@@ -95,14 +93,12 @@ def _known_text(value: float, stderr: float) -> str:
     return "" if np.isnan(value) else quantity_text(float(value), float(stderr))
 
 
-def tabulate_transfer(transfer: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return the variable `transfer` of sensor.html; None without transfer.nc.
+def tabulate_transfer(transfer: xr.Dataset, citations: Citations) -> dict[str, Any]:
+    """Return the variable `transfer` of sensor.html.
 
     `rows` are the quantities of EMVA 1288, with the reason `why` if a quantity is unknown. `remarks` are those of the
     file. `ranges` are the rows of `tabulate_ranges`.
     """
-    if transfer is None:
-        return None
     rows = []
     for quantity in read_quantities(transfer).values():
         _, _, meaning = TRANSFER_QUANTITIES[quantity.name]
@@ -145,16 +141,14 @@ def tabulate_ranges(transfer: xr.Dataset) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return the variable `calibration` of calibration.html; None without calibration.nc.
+def tabulate_calibration(calibration: xr.Dataset, citations: Citations) -> dict[str, Any]:
+    """Return the variable `calibration` of calibration.html.
 
     `rows` has p1, p2 and the peak by each estimator. For p1 and p2, `sd_repeats`, `sd_angles` and `sd_all` are the
     standard deviations over repeats, angles and all sites [px], and `miss` is the bias that a simulation found [px].
     `laser_width` is the width of the laser in the image [px]. `has_converged` is about the estimator by maximum
     likelihood.
     """
-    if calibration is None:
-        return None
     rows = []
     for estimator in calibration["estimator"].values:
         values, label = calibration.sel(estimator=estimator), f"[estimator={estimator}]"
@@ -178,13 +172,11 @@ def tabulate_calibration(calibration: xr.Dataset | None, citations: Citations) -
     }
 
 
-def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citations) -> list[tuple[str, list[str]]]:
-    """Return (name of the frame, cells) for each of the first `MAX_FIT_ROWS` frames; [] without fits.nc.
+def tabulate_fits(dataset: Dataset, fits: xr.Dataset, citations: Citations) -> list[tuple[str, list[str]]]:
+    """Return (name of the frame, cells) for each of the first `MAX_FIT_ROWS` frames.
 
     The cells are the fitted parameters with standard errors, and the reduced χ².
     """
-    if fits is None:
-        return []
     preferred = select_preferred_fits(fits)
     rows = []
     for index, frame in list(dataset.cells())[:MAX_FIT_ROWS]:
@@ -202,23 +194,13 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset | None, citations: Citation
     return rows
 
 
-def describe_fit(fits: xr.Dataset | None) -> str:
-    """Return the method of the fits in the table in words; "" without fits.nc.
-
-    fits.nc may have fits by several methods, of which its attribute `preferred` names one.
-    """
-    return "" if fits is None else str(fits.attrs[f"fit_{fits.attrs['preferred']}"])
-
-
 def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str, Any] | None:
     """Return the peak of the spot [DN] by each interpretation of the equations of the paper, and the calibrated peak.
 
     The units of the equations do not agree, so that several interpretations are possible. `files` has the contents of
-    the netCDF files by name without suffix. `rows` of the result has (interpretation, peak). Returns None without
-    calibration.nc or sensor.nc, or if the instrument file lacks a number of Table 3 of the paper.
+    the netCDF files by name without suffix. `rows` of the result has (interpretation, peak). Returns None if the
+    instrument file lacks a number of Table 3 of the paper.
     """
-    if "calibration" not in files or "sensor" not in files:
-        return None
     used = files["calibration"].sel(estimator=files["calibration"].attrs["used"])
     p1, p2, gain = float(used["p1_mean"]), float(used["p2_mean"]), float(files["sensor"]["gain_dn_per_e"])
     longest_s = max(frame.exposure_s or 0.0 for frame in dataset.spots)
@@ -232,13 +214,11 @@ def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str,
     return {"rows": rows, "calibrated": float(used["peak"]), "exposure": quantity_text(longest_s, None, "s")}
 
 
-def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup | None:
-    """Return a sentence with waist, divergence and M² for each estimator, the one to quote first; None without a file.
+def describe_caustic(caustic: xr.Dataset, citations: Citations) -> Markup:
+    """Return a sentence with waist, divergence and M² for each estimator, the one to quote first.
 
     A sentence describes both axes, or the mean of both axes of a round beam.
     """
-    if caustic is None:
-        return None
     sentences = []
     for estimator in map(str, caustic["estimator"].values):
         ds = caustic.sel(estimator=estimator)
@@ -260,18 +240,14 @@ def describe_caustic(caustic: xr.Dataset | None, citations: Citations) -> Markup
     return Markup(" ").join([*sentences, Markup("{}{}").format(light, missing)])
 
 
-def tabulate_precision(precision: xr.Dataset | None, citations: Citations) -> dict[str, Any] | None:
-    """Return a sentence on the precision of the fits, and a row for each condition; None without precision.nc.
+def tabulate_precision(precision: xr.Dataset, citations: Citations) -> dict[str, Any]:
+    """Return a sentence on the precision of the fits, and a row for each condition.
 
     `rows` has (condition in words, cells). The cells are those of `_precision_texts` for the measured and then for the
     simulated frames.
     """
-    if precision is None:
-        return None
-    dims = [str(dim) for dim in precision["frames_measured"].dims]
     rows = []
-    for index in np.ndindex(*(precision.sizes[dim] for dim in dims)):
-        place = dict(zip(dims, index, strict=True))
+    for place in series.iterate_places(precision, map(str, precision["frames_measured"].dims)):
         condition = precision.isel(place)
         # The number of the dimension's value stands for a value that was not recorded.
         labels = [f"{dim}={condition[dim].item() if dim in precision.coords else k}" for dim, k in place.items()]
@@ -304,13 +280,11 @@ def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str,
     return texts
 
 
-def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple[str, str]]:
-    """Return (name, reasons) of each frame that was not fitted, or not completely; [] without fits.nc.
+def list_flagged_frames(dataset: Dataset, fits: xr.Dataset) -> list[tuple[str, str]]:
+    """Return (name, reasons) of each frame that was not fitted, or not completely.
 
     The reasons are the meanings of the flags of its fit.
     """
-    if fits is None:
-        return []
     preferred = select_preferred_fits(fits).transpose(*(axis.name for axis in dataset.axes), ...)
     # Flags, and pixels that a fit left out in words, [index of the frame in each dimension of the grid].
     status, left_out_pixels = preferred["status"].values, preferred["left_out"].values
@@ -328,16 +302,13 @@ def list_flagged_frames(dataset: Dataset, fits: xr.Dataset | None) -> list[tuple
     return rows
 
 
-def tabulate_models(declared: xr.Dataset | None, extended: xr.Dataset | None) -> dict[str, Any] | None:
+def tabulate_models(declared: xr.Dataset, extended: xr.Dataset) -> dict[str, Any]:
     """Return the variable `models` of models.html: distances of both models from the measured frames.
 
     `declared` and `extended` are the contents of metrics.nc and extended_metrics.nc. A distance is the difference of a
     metric between simulated and measured frames, in standard deviations over measured repeats. `summary` has the
-    distances (declared, extended) of each metric over all conditions, `rows` has those of each condition. Returns None
-    without both files.
+    distances (declared, extended) of each metric over all conditions, `rows` has those of each condition.
     """
-    if declared is None or extended is None:
-        return None
     compared = compare_models(declared, extended)
     distances = summarise_comparison(compared)
     rows = [

@@ -6,7 +6,7 @@ held-out frames, which were not used to select the effects.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -27,20 +27,12 @@ MEASURED = "measured"
 HALF_SIDE_WIDTHS = 3.0
 
 
-class ProfileLook(NamedTuple):
-    """Name of an image, and appearance of the line of its profile."""
-
-    name: str  # name in titles and in the legend
-    colour: str  # colour of the line
-    dashes: str | tuple  # Matplotlib line style
-    width: float  # line width [pt]
-
-
-# Looks of the measured reading and of the models, in the order in which they are drawn.
-LOOKS = {
-    MEASURED: ProfileLook("measured", style.MEASURED, "solid", 2.6),
-    BEFORE: ProfileLook("model", style.SIMULATED, (0, (4, 2)), 1.2),
-    AFTER: ProfileLook("extended model", "black", "solid", 0.8),
+# Looks of the profiles of the measured reading and of the models, in the order in which they are drawn; the label is
+# also the name in titles.
+LOOKS: dict[str, dict[str, Any]] = {
+    MEASURED: {"label": "measured", "color": style.MEASURED, "linewidth": 2.6},
+    BEFORE: {"label": "model", "color": style.SIMULATED, "linestyle": (0, (4, 2)), "linewidth": 1.2},
+    AFTER: {"label": "extended model", "color": "black", "linewidth": 0.8},
 }
 
 
@@ -78,11 +70,11 @@ def draw_answer(results: Results) -> style.Drawing:
     panels = figure.subplots(rows, 3, squeeze=False)
     # With a single model, the last panel of the row shows its residual.
     for ax, (key, image) in zip(panels[0], example.images.items(), strict=False):
-        _draw_image(ax, example, image, LOOKS[key].name, reading_norm, style.IMAGE_MAP)
+        _draw_image(ax, example, image, LOOKS[key]["label"], reading_norm, style.IMAGE_MAP)
     # Residuals are below their models, or beside a single model.
     residual_panels = panels[1, 1:] if rows > 1 else panels[0, 2:]
     for ax, (key, image) in zip(residual_panels, example.residuals.items(), strict=True):
-        _draw_image(ax, example, image, f"measured − {LOOKS[key].name}", residual_norm, style.DIVERGING_MAP)
+        _draw_image(ax, example, image, "measured − " + LOOKS[key]["label"], residual_norm, style.DIVERGING_MAP)
     if rows > 1:
         _draw_profile(panels[1, 0], example)
         text = "\n".join(f"+ {effect['name']}" for effect in verdict["effects"])
@@ -139,8 +131,7 @@ def _draw_profile(ax: Axes, example: Example) -> None:
     """Draw measured and modelled reading along the row of blocks through the spot's centre."""
     row, half = int(np.argmin(np.abs(example.y))), example.half_side
     for key, image in example.images.items():
-        name, colour, dashes, width = LOOKS[key]
-        ax.plot(example.x, image[row], color=colour, linestyle=dashes, linewidth=width, label=name)
+        ax.plot(example.x, image[row], **LOOKS[key])
     ax.legend(loc="upper left", fontsize=7, handlelength=1.4, borderaxespad=0.1)
     ax.set_box_aspect(1)
     # The ordinate leaves space for the legend.

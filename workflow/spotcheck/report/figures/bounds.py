@@ -4,7 +4,7 @@ The Cramér–Rao bound is the smallest variance that an unbiased estimate can h
 law that gives the spot's width at an exposure (Eq. 8 of the paper).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -15,24 +15,14 @@ from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
-
-class NoiseLook(NamedTuple):
-    """Appearance of the bound under one noise model."""
-
-    colour: str  # colour of the line
-    dashes: tuple  # Matplotlib line style
-    style_name: str  # name of the dashes in the caption
-    label: str  # name of the noise model in the legend
-
-
-# Looks by noise model, a coordinate `law` of bounds.nc.
-LOOKS = {
-    "poisson_gauss": NoiseLook("#000000", (0, ()), "Solid", "electrons, with read noise"),
-    "poisson": NoiseLook("#0072B2", (0, (5, 2)), "dashed", "electrons, Poisson alone"),
-    "dn": NoiseLook("#D55E00", (0, (1.2, 1.6)), "dotted", "mean in DN as Poisson"),
+# Look of the bound by noise model, a coordinate `law` of bounds.nc; the label is that of the legend.
+LOOKS: dict[str, dict[str, Any]] = {
+    "poisson_gauss": {"color": "#000000", "linestyle": (0, ()), "label": "electrons, with read noise"},
+    "poisson": {"color": "#0072B2", "linestyle": (0, (5, 2)), "label": "electrons, Poisson alone"},
+    "dn": {"color": "#D55E00", "linestyle": (0, (1.2, 1.6)), "label": "mean in DN as Poisson"},
 }
-
-
+# Names of these line styles in the caption.
+LINE_NAMES = {"poisson_gauss": "Solid", "poisson": "dashed", "dn": "dotted"}
 # Dashes of the paper's curves.
 PAPER_DASHES = (0, (6, 1.5, 1.2, 1.5))
 
@@ -94,7 +84,6 @@ def _draw_bounds(
     laws = [str(name) for name in ds["law"].values]
     figure = style.new_figure(3.4)
     panels = figure.subplots(1, 2)
-    looks = [LOOKS[law] for law in laws]
     handles: list = []
     ranges = []  # range of each bound as text
     for ax, parameter in zip(panels, ("peak", "sigma"), strict=True):
@@ -108,8 +97,7 @@ def _draw_bounds(
         for mark in x.marks:
             ax.axvline(mark, color="0.75", linewidth=3.0, zorder=1)
         handles = [
-            ax.plot(x.values, bound, color=look.colour, linestyle=look.dashes, linewidth=1.6)[0]
-            for bound, look in zip(values.T, looks, strict=True)
+            ax.plot(x.values, bound, linewidth=1.6, **LOOKS[law])[0] for law, bound in zip(laws, values.T, strict=True)
         ]
         if paper is not None:
             curve = paper.peak if parameter == "peak" else paper.sigma
@@ -121,9 +109,9 @@ def _draw_bounds(
         ax.set_ylim(10 ** np.floor(np.log10(finite.min())), 10 ** np.ceil(np.log10(finite.max())))
     panels[0].set_ylabel("bound Var($\\mu_{p,max}$) / photons²")
     panels[1].set_ylabel(f"bound Var($\\sigma_g$) / {unit}")
-    labels = [look.label for look in looks] + (["the paper's, brightest pixel"] if paper is not None else [])
+    labels = [LOOKS[law]["label"] for law in laws] + (["the paper's, brightest pixel"] if paper is not None else [])
     style.add_legend(figure, handles, labels, min(len(labels), 2 if paper is not None else 3))
-    law_text = "; ".join(f"{LOOKS[law].style_name}: {ds.attrs[f'law_{law}']}" for law in laws)
+    law_text = "; ".join(f"{LINE_NAMES[law]}: {ds.attrs[f'law_{law}']}" for law in laws)
     caption = (
         f"Smallest variance that an unbiased estimate of one frame can have, {fixed}: photons on the brightest pixel"
         f" (left) and width σ_g on the sensor (right). Grey bars: the dataset's {marked}. {law_text}. In electrons the"

@@ -65,8 +65,7 @@ class ConditionTable:
 def tabulate_conditions(ds: xr.Dataset) -> ConditionTable:
     """Return the table of the conditions; `ds` is the content of discrepancy.nc."""
     dims = tuple(str(dim) for dim in ds["sigma"].dims if dim != "exposure")
-    indices = np.ndindex(*(ds.sizes[dim] for dim in dims))
-    rows = [series.condition_text(ds, dict(zip(dims, index, strict=True))) for index in indices]
+    rows = [series.condition_text(ds, place) for place in series.iterate_places(ds, dims)]
     return ConditionTable(dims, rows, [series.value_text(ds, "exposure", k) for k in range(ds.sizes["exposure"])])
 
 
@@ -173,9 +172,8 @@ def _lay_out(figure: Figure, rows: int, columns: int, models: int) -> _Sheet:
 
     def add_axes(x: float, y: float, axes_width: float, axes_height: float, **properties: Any) -> Axes:
         """Add axes with their lower left corner at (x, y); all lengths are in inches."""
-        return figure.add_axes(
-            (x / style.WIDTH, y / height, axes_width / style.WIDTH, axes_height / height), **properties
-        )
+        box = (x / style.WIDTH, y / height, axes_width / style.WIDTH, axes_height / height)
+        return figure.add_axes(box, **properties)
 
     maps_bottom = height - TOP - maps_height
     # The maps are centred between the margins.

@@ -45,11 +45,13 @@ class FittedFrame(NamedTuple):
     spot: FittedSpot  # fitted spot
 
 
-def read_frame(crops: xr.Dataset, fits: xr.Dataset, index: dict[str, int]) -> FittedFrame | None:
-    """Return the frame at an index of the grid; None without a usable crop or a trusted fit.
+def read_frame(crops: xr.Dataset | None, fits: xr.Dataset | None, index: dict[str, int]) -> FittedFrame | None:
+    """Return the frame at an index of the grid; None without a usable crop or a trusted fit, or without both files.
 
-    `crops` and `fits` are crops.nc and fits.nc of the measured or of the simulated frames.
+    `crops` and `fits` are crops.nc and fits.nc of the measured frames, or of those simulated by one of the models.
     """
+    if crops is None or fits is None:
+        return None
     crop, fit = crops.sel(centring="light").isel(index), select_preferred_fits(fits).isel(index)
     names = ("y_centre", "x_centre", "sigma_major", "sigma_minor", "orientation")
     row, column, major, minor, direction = (float(fit[name]) for name in names)
@@ -82,9 +84,8 @@ def iterate_frames(results: Results, fixed: dict[str, int]) -> Iterator[tuple[Fi
         Index of some dimensions of the grid; all frames with this index are read.
     """
     crops, fits = results.get("crops"), results.get("fits")
-    other_dims = [dim for dim in store.grid_dims(crops) if dim not in fixed]
-    for numbers in np.ndindex(*(crops.sizes[dim] for dim in other_dims)):
-        index = fixed | dict(zip(other_dims, numbers, strict=True))
+    for place in series.iterate_places(crops, (dim for dim in store.grid_dims(crops) if dim not in fixed)):
+        index = fixed | place
         if frame := read_frame(crops, fits, index):
             yield frame, predict_reading(results, index, frame.spot)
 
@@ -106,19 +107,14 @@ def find_pair(results: Results) -> FramePair:
     crops, fits = results.get("crops"), results.get("fits")
     simulated_crops, simulated_fits = results.get("simulated/crops"), results.get("simulated/fits")
     dims = ("exposure", "angle", "repeat", *(dim for dim in store.grid_dims(crops) if dim not in series.UNITS))
-    for numbers in np.ndindex(*(crops.sizes[dim] for dim in dims)):
-        index = dict(zip(dims, numbers, strict=True))
+    extended_crops, extended_fits = results.find("extended/crops"), results.find("extended/fits")
+    for index in series.iterate_places(crops, dims):
         index["exposure"] = crops.sizes["exposure"] - 1 - index["exposure"]
         measured, simulated = read_frame(crops, fits, index), read_frame(simulated_crops, simulated_fits, index)
         if measured and simulated:
-            return FramePair(measured, simulated, _read_extended(results, index), _describe_conditions(crops, index))
+            extended = read_frame(extended_crops, extended_fits, index)
+            return FramePair(measured, simulated, extended, _describe_conditions(crops, index))
     raise Unavailable("no cell of the grid has a usable measured and simulated frame")
-
-
-def _read_extended(results: Results, index: dict[str, int]) -> FittedFrame | None:
-    """Return the frame of the extended model at an index of the grid; None if there is none, or without a fit."""
-    crops, fits = results.find("extended/crops"), results.find("extended/fits")
-    return None if crops is None or fits is None else read_frame(crops, fits, index)
 
 
 def _describe_conditions(ds: xr.Dataset, index: dict[str, int]) -> str:

@@ -117,11 +117,8 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
         caption += " Extended: with the effects of the verdict; its sites are drawn at random, so that its error bars"
         caption += " are simulated as well."
     if plot.metric in FIT_PARAMETERS:
-        untrusted_count = int(
-            metrics[plot.metric].sel(centring="light", source="measured", fit=fit).notnull().sum()
-            - measured_values.notnull().sum()
-        )
-        if untrusted_count:
+        all_values = metrics[plot.metric].sel(centring="light", source="measured", fit=fit)
+        if untrusted_count := int(all_values.notnull().sum() - measured_values.notnull().sum()):
             caption += f" {untrusted_count} fits that did not converge or have an implausible width are not counted."
     return style.Drawing(figure, caption + (results.paper_note(plot.note) if plot.note else ""))
 
@@ -143,21 +140,14 @@ def _make_panels(count: int, groups: int = 1) -> tuple[Figure, np.ndarray]:
     rows_per_group = -(-count // columns)
     figure = style.new_figure(LEGEND_HEIGHT + groups * rows_per_group * ROW_HEIGHT)
     grid = figure.subplots(groups * rows_per_group, columns, squeeze=False, sharey="row" if groups > 1 else True)
-    panels = []
-    for group in grid.reshape(groups, rows_per_group * columns):
-        panels += list(group[:count])
-        for unused in group[count:]:
-            unused.set_axis_off()
-    return figure, np.array(panels)
+    by_group = grid.reshape(groups, rows_per_group * columns)
+    for unused in by_group[:, count:].ravel():
+        unused.set_axis_off()
+    return figure, by_group[:, :count].ravel()
 
 
 def _draw_series(
-    ax: Axes,
-    x: np.ndarray,
-    all_series: Series,
-    line: int,
-    divisor: float = 1.0,
-    is_constant: bool = False,
+    ax: Axes, x: np.ndarray, all_series: Series, line: int, divisor: float = 1.0, is_constant: bool = False
 ) -> list:
     """Draw the line with index `line` of each series over `x`, divided by `divisor`; return the legend's artists.
 
@@ -179,7 +169,7 @@ def _draw_series(
     mean, frames = declared.mean[line] / divisor, declared.frames[line]
     look: dict[str, Any] = {"color": style.SIMULATED, "linestyle": style.DASHED}
     if is_constant and frames.any():
-        handles.append(ax.axhline(float(np.average(mean[frames > 0], weights=frames[frames > 0])), **look))
+        handles.append(ax.axhline(_average_all_frames(mean, frames), **look))
     else:
         handles += ax.plot(x, mean, marker="s", markerfacecolor="white", **look)
     if extended is not None:
@@ -189,11 +179,14 @@ def _draw_series(
 
 def _draw_printed_ranges(panels: Iterable[Axes], ranges: Sequence[tuple[float, float]], divisor: float = 1.0) -> Artist:
     """Draw the range of printed values, divided by `divisor`, behind each panel; return an artist for the legend."""
-    spans = [
-        ax.axhspan(low / divisor, high / divisor, facecolor=style.PRINTED, edgecolor="none", zorder=0.5)
-        for ax, (low, high) in zip(panels, ranges, strict=True)
-    ]
-    return spans[0]
+    for ax, (low, high) in zip(panels, ranges, strict=True):
+        span = ax.axhspan(low / divisor, high / divisor, facecolor=style.PRINTED, edgecolor="none", zorder=0.5)
+    return span
+
+
+def _average_all_frames(mean: np.ndarray, frames: np.ndarray) -> float:
+    """Return the mean over all frames, from the `mean` of each point and its number of `frames`."""
+    return float(np.average(mean[frames > 0], weights=frames[frames > 0]))
 
 
 def draw_psnr(results: Results) -> style.Drawing:
@@ -235,7 +228,7 @@ def draw_psnr(results: Results) -> style.Drawing:
     style.add_legend(figure, handles, labels, len(handles))
     # The crops of the upper panels with the range of the lower ones, which separates both effects.
     at_sensor_range = ds["psnr"].sel(registration="maximum", data_range="sensor").values
-    printed_db, registered_db = map(_average_all_frames, averages)
+    printed_db, registered_db = (_average_all_frames(points.mean, points.frames) for points in averages)
     sensor_range_db = at_sensor_range[np.isfinite(at_sensor_range)].mean()
     caption = (
         "Peak signal-to-noise ratio of measured frames against frames of both models, and against the next measured"
@@ -250,17 +243,11 @@ def draw_psnr(results: Results) -> style.Drawing:
     return style.Drawing(figure, caption + results.paper_note(note))
 
 
-def _average_all_frames(statistics: series.LineStatistics) -> float:
-    """Return the mean of a quantity over all frames: the mean of the points, weighted by their numbers of frames."""
-    has_frames = statistics.frames > 0
-    return float(np.average(statistics.mean[has_frames], weights=statistics.frames[has_frames]))
-
-
-def _find_printed_range(name: str) -> tuple[float, float]:
-    """Return the smallest and the largest printed mean of a quantity of the paper, in its unit."""
-    return PRINTED_BY_NAME[f"{name}_smallest"], PRINTED_BY_NAME[f"{name}_largest"]
-
-
+# (smallest, largest) printed mean of a quantity, in its unit.
+CONTRAST_RANGE, SHORT_AMPLITUDE_RANGE, LONG_AMPLITUDE_RANGE = (
+    (PRINTED_BY_NAME[f"{name}_smallest"], PRINTED_BY_NAME[f"{name}_largest"])
+    for name in ("contrast", "amplitude_short", "amplitude_long")
+)
 # Smallest and largest mean PSNR in print [dB], the smallest mean of the largest reading [DN], and p1 ln t + p2 [px].
 PRINTED_PSNR_DB = (53.0, 58.0)
 SMALLEST_MAXIMUM = PRINTED_BY_NAME["maximum_smallest"]
@@ -274,7 +261,7 @@ CONTRAST = MetricPlot(
     "Speckle contrast (standard deviation over mean of a crop)",
     "In print the measured means lie between 4.4 and 9.5, the simulated values between 3.5 and 5.2, and the spread at"
     " 100 µs is about twice that of the longer exposures.",
-    (_find_printed_range("contrast"),) * 3,
+    (CONTRAST_RANGE,) * 3,
 )
 MAXIMUM = MetricPlot(
     "maximum",
@@ -290,7 +277,7 @@ AMPLITUDE = MetricPlot(
     "Peak of the fitted Gaussian above its offset",
     "In print the fitted amplitudes are 839 to 924 DN at 100 µs with a spread of up to 227 DN, and 992 to 1062 DN with"
     " at most 51 DN at the longer two.",
-    (_find_printed_range("amplitude_short"), *(_find_printed_range("amplitude_long"),) * 2),
+    (SHORT_AMPLITUDE_RANGE, LONG_AMPLITUDE_RANGE, LONG_AMPLITUDE_RANGE),
 )
 MEAN_WIDTH = MetricPlot(
     "sigma_mean",
@@ -319,31 +306,24 @@ OTHERS = {
 }
 
 
-# Figure of the paper that shows a metric.
-PAPER_FIGURES = {
-    CONTRAST.metric: "Fig. 9b",
-    MAXIMUM.metric: "Fig. 10a",
-    AMPLITUDE.metric: "Fig. 10b",
-    MEAN_WIDTH.metric: "Fig. 11",
-    TOTAL.metric: "Fig. 12",
-}
-
-
-def _entry(name: str, title: str, plot: MetricPlot) -> Entry:
-    """Return the entry of a figure of a metric."""
-    figure = PAPER_FIGURES.get(plot.metric)
-    return Entry(name, title, Category.METRICS, METRICS, partial(draw_metric, plot=plot), figure)
-
-
+# (name, title, metric, figure of the paper that shows it) of each figure of a metric.
+METRIC_FIGURES: list[tuple[str, str, MetricPlot, str | None]] = [
+    ("fig09b", "Speckle contrast", CONTRAST, "Fig. 9b"),
+    ("fig10a", "Plateau: largest reading", MAXIMUM, "Fig. 10a"),
+    ("fig10b", "Amplitude of the fitted Gaussian", AMPLITUDE, "Fig. 10b"),
+    ("fig11", "Width of the fitted Gaussian", MEAN_WIDTH, "Fig. 11"),
+    ("fig12", "Sum of all readings", TOTAL, "Fig. 12"),
+]
+# Figure of the paper by the name of the metric that it shows.
+PAPER_FIGURES = {plot.metric: figure for _, _, plot, figure in METRIC_FIGURES}
+METRIC_FIGURES += [
+    (f"metric-{name.replace('_', '-')}", name.replace("_", " ").capitalize(), plot, None)
+    for name, plot in OTHERS.items()
+]
 FIGURES = (
     Entry("fig09a", "Peak signal-to-noise ratio", Category.METRICS, ("metrics", "sensor"), draw_psnr, "Fig. 9a"),
-    _entry("fig09b", "Speckle contrast", CONTRAST),
-    _entry("fig10a", "Plateau: largest reading", MAXIMUM),
-    _entry("fig10b", "Amplitude of the fitted Gaussian", AMPLITUDE),
-    _entry("fig11", "Width of the fitted Gaussian", MEAN_WIDTH),
-    _entry("fig12", "Sum of all readings", TOTAL),
     *(
-        _entry(f"metric-{name.replace('_', '-')}", name.replace("_", " ").capitalize(), plot)
-        for name, plot in OTHERS.items()
+        Entry(name, title, Category.METRICS, METRICS, partial(draw_metric, plot=plot), figure)
+        for name, title, plot, figure in METRIC_FIGURES
     ),
 )

@@ -23,13 +23,12 @@ def draw_overview(results: Results) -> style.Drawing:
     figure = style.new_figure(2.5, 1.45 * style.WIDTH)
     panels = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.15))
     extent = style.centred_extent(measured.shape, spot.row, spot.column)
-    for ax, image, title, norm, cmap in (
-        (panels[0], measured, "measured", reading_norm, style.IMAGE_MAP),
-        (panels[1], registered, "simulated", reading_norm, style.IMAGE_MAP),
-        (panels[2], measured - registered, "measured − simulated", difference_norm, style.DIVERGING_MAP),
-    ):
-        limits = {"xlim": (-half, half), "ylim": (half, -half)}
-        style.show_image(ax, image, cmap, norm, extent, title=title, xlabel="x / px", **limits)
+    style.show_image(panels[0], measured, style.IMAGE_MAP, reading_norm, extent, title="measured")
+    style.show_image(panels[1], registered, style.IMAGE_MAP, reading_norm, extent, title="simulated")
+    difference, title = measured - registered, "measured − simulated"
+    style.show_image(panels[2], difference, style.DIVERGING_MAP, difference_norm, extent, title=title)
+    for ax in panels[:3]:
+        ax.set(xlabel="x / px", xlim=(-half, half), ylim=(half, -half))
     panels[0].set_ylabel("y / px")
     row, x = round(spot.row), np.arange(measured.shape[1]) - spot.column
     panels[3].plot(x, measured[row], color=style.MEASURED, label="measured")

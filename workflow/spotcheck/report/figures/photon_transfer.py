@@ -5,9 +5,7 @@ less that of its dark; its excess is its variance in time less that of its dark,
 is a level without light. All values are those of transfer.nc.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -63,18 +61,13 @@ def _read_light(ds: xr.Dataset) -> tuple[np.ndarray, str]:
     return exposure * factor, style.axis_label("exposure time $t$", unit)
 
 
-@dataclass(frozen=True)
-class ResponseLine:
+class ResponseLine(NamedTuple):
     """Straight line through the response of the sensor: signal = slope · light + offset."""
 
     light: np.ndarray  # light of each flat level [photons, or exposure in the displayed unit]
     is_used: np.ndarray  # whether the line is fitted to the level [flat]
-    slope: float  # slope [DN per unit of light]; NaN below `MIN_LEVELS` levels
-    offset: float  # signal without light [DN]; NaN below `MIN_LEVELS` levels
-
-    def predict(self, light: np.ndarray) -> np.ndarray:
-        """Return the signal [DN] of the line at `light`, which has any shape and the unit of the attribute `light`."""
-        return self.slope * light + self.offset
+    predict: np.poly1d  # signal [DN] of the line at any light; NaN if fewer than `MIN_LEVELS` levels are used
+    deviation: np.ndarray  # relative deviation of the signal of each level from the line [%, flat]
 
 
 def fit_response_line(ds: xr.Dataset) -> ResponseLine:
@@ -87,10 +80,11 @@ def fit_response_line(ds: xr.Dataset) -> ResponseLine:
     # The level is -1 if no flat is saturated.
     saturation = signal[saturated_level] if saturated_level >= 0 else signal.max()
     is_used = (signal >= LINEARITY_RANGE[0] * saturation) & (signal <= LINEARITY_RANGE[1] * saturation)
-    slope, offset = np.nan, np.nan
+    coefficients = np.full(2, np.nan)
     if is_used.sum() >= MIN_LEVELS:
-        slope, offset = np.polyfit(light[is_used], signal[is_used], 1, w=1 / signal[is_used])
-    return ResponseLine(light, is_used, float(slope), float(offset))
+        coefficients = np.polyfit(light[is_used], signal[is_used], 1, w=1 / signal[is_used])
+    predict = np.poly1d(coefficients)
+    return ResponseLine(light, is_used, predict, 100 * (signal / predict(light) - 1))
 
 
 def draw_photon_transfer(results: Results) -> style.Drawing:
@@ -140,10 +134,9 @@ def draw_response(results: Results) -> style.Drawing:
     ds, quantities = _read_quantities(results, "linearity_error")
     line, signal, stderr = fit_response_line(ds), ds["signal"].values, ds["flat_mean_stderr"].values
     light, is_used = line.light, line.is_used
-    deviation = 100 * (signal / line.predict(light) - 1)
     figure = style.new_figure(3.0)
     left, right = figure.subplots(1, 2)
-    for ax, values, errors in ((left, signal, stderr), (right, deviation, 100 * stderr / np.abs(signal))):
+    for ax, values, errors in ((left, signal, stderr), (right, line.deviation, 100 * stderr / np.abs(signal))):
         for levels, look in ((~is_used, OTHER_LEVELS), (is_used, USED_LEVELS)):
             ax.errorbar(light[levels], values[levels], errors[levels], fmt="o", capsize=0, **look)
         ax.set_xlabel(_read_light(ds)[1])
@@ -192,9 +185,8 @@ def draw_signal_to_noise(results: Results) -> style.Drawing:
     ax.set(xscale="log", yscale="log", ylabel="signal-to-noise ratio")
     ax.set_xlabel("photons per pixel $\\mu_p$" if has_photons else "electrons $\\mu_e$")
     style.add_legend(figure, [levels, model, ideal], ["levels", "model of the sensor", "ideal camera"], 3)
-    caption = (
-        f"Signal-to-noise ratio. Green lines: the sensitivity threshold, {_quantity_text(quantities['threshold'])}"
-    )
+    threshold = _quantity_text(quantities["threshold"])
+    caption = f"Signal-to-noise ratio. Green lines: the sensitivity threshold, {threshold}"
     if np.isfinite(full_well.value):
         caption += f", and the saturation capacity, {_quantity_text(full_well)}; between them lie"
         caption += f" {20 * np.log10(quantities['dynamic_range'].value):.1f} dB"
@@ -276,15 +268,13 @@ def draw_patterns(results: Results) -> style.Drawing:
     return style.Drawing(figure, caption)
 
 
-def _entry(name: str, title: str, draw: Callable[[Results], style.Drawing]) -> Entry:
-    """Return the entry of a figure that reads transfer.nc alone."""
-    return Entry(name, title, Category.SENSOR, ("transfer",), draw)
-
-
-FIGURES = (
-    _entry("photon-transfer", "Photon transfer", draw_photon_transfer),
-    _entry("response", "Response and linearity", draw_response),
-    _entry("signal-to-noise", "Signal-to-noise ratio", draw_signal_to_noise),
-    _entry("dark", "Dark signal", draw_dark_signal),
-    _entry("pattern", "Fixed pattern of the sensor", draw_patterns),
+FIGURES = tuple(
+    Entry(name, title, Category.SENSOR, ("transfer",), draw)
+    for name, title, draw in (
+        ("photon-transfer", "Photon transfer", draw_photon_transfer),
+        ("response", "Response and linearity", draw_response),
+        ("signal-to-noise", "Signal-to-noise ratio", draw_signal_to_noise),
+        ("dark", "Dark signal", draw_dark_signal),
+        ("pattern", "Fixed pattern of the sensor", draw_patterns),
+    )
 )

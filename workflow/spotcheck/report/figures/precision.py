@@ -5,7 +5,7 @@ standard deviation that an unbiased estimate from one frame can have. A conditio
 grid other than the repeat, such as an angle and an exposure. A source is "measured" or "simulated" frames.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -28,17 +28,10 @@ LABELS = {
 }
 
 
-class PointLook(NamedTuple):
-    """Appearance of the points of a source."""
-
-    marker: str  # Matplotlib marker
-    colours: dict[str, Any]  # Matplotlib properties `color` (edge) and `markerfacecolor`
-
-
 # Looks of the points of each source.
-LOOKS = {
-    "measured": PointLook("o", {"color": style.MEASURED, "markerfacecolor": style.MEASURED}),
-    "simulated": PointLook("D", {"color": style.SIMULATED, "markerfacecolor": "white"}),
+LOOKS: dict[str, dict[str, Any]] = {
+    "measured": {"marker": "o", "linestyle": "none", "color": style.MEASURED, "markerfacecolor": style.MEASURED},
+    "simulated": {"marker": "D", "linestyle": "none", "color": style.SIMULATED, "markerfacecolor": "white"},
 }
 
 
@@ -93,7 +86,7 @@ def _draw_bound(ax: Axes, results: Results, ds: xr.Dataset) -> dict:
         # The conditions of one exposure are 4 % apart on the logarithmic axis, so that they do not hide each other.
         shift = 1.04 ** (np.arange(values.shape[1]) - (values.shape[1] - 1) / 2)
         x = (scatter["exposure"].values[:, None] * factor * shift).ravel()
-        handles[source] = ax.plot(x, values.ravel(), look.marker, markersize=4, **look.colours)[0]
+        handles[source] = ax.plot(x, values.ravel(), markersize=4, **look)[0]
     ax.set(xscale="log", yscale="log", xlabel=style.axis_label("exposure time $t$", unit))
     ax.set_ylabel("standard deviation of $\\bar{\\sigma}$ / px")
     return handles
@@ -108,11 +101,9 @@ def _draw_ratios(ax: Axes, ds: xr.Dataset, sources: list[str]) -> dict:
     y = np.arange(len(LABELS))[::-1]
     ax.axvline(1.0, color="black", linewidth=0.9)
     for k, source in enumerate(sources):
-        look = LOOKS[source]
         ratio, stderr = np.array([pool_ratios(ds, source, name) for name in LABELS]).T
         y_source = y + 0.12 * (k - (len(sources) - 1) / 2)  # sources beside each other
-        errors: dict[str, Any] = {"xerr": stderr, "capsize": 2, "markersize": 5}
-        handles[source] = ax.errorbar(ratio, y_source, fmt=look.marker, **errors, **look.colours)
+        handles[source] = ax.errorbar(ratio, y_source, xerr=stderr, capsize=2, markersize=5, **LOOKS[source])
     ax.set_xscale("log")
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, 0.5), max(high, 2.0))

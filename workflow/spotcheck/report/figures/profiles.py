@@ -58,8 +58,7 @@ def average_profiles(results: Results) -> list[Profile]:
     crops = results.get("crops")
     dims = [dim for dim in store.grid_dims(crops) if dim == "exposure" or dim not in series.UNITS]
     profiles = []
-    for numbers in np.ndindex(*(crops.sizes[dim] for dim in dims)):
-        index = dict(zip(dims, numbers, strict=True))
+    for index in series.iterate_places(crops, dims):
         # Measured and predicted profile of each frame [frame][source][ring].
         rings = [
             [average_rings(image, frame.spot, min(predicted.shape) // 2) for image in (frame.image, predicted)]
@@ -107,11 +106,9 @@ def draw_profiles(results: Results) -> style.Drawing:
         upper.set_ylabel("reading / DN" if is_leftmost else "")
         lower.set_ylabel("residual / DN" if is_leftmost else "")
         lower.set_xlabel("radius / px" if is_lowest else "")
+        # The lowest panels are not all in the last row, which may have gaps.
         upper.tick_params(labelleft=is_leftmost, labelbottom=False)
-        lower.tick_params(labelleft=is_leftmost)
-        # Axes with a common abscissa label only the last row, which may have gaps.
-        if is_lowest:
-            lower.tick_params(labelbottom=True)
+        lower.tick_params(labelleft=is_leftmost, labelbottom=is_lowest)
     labels = ["measured", "simulated", "measured − simulated", "± 1 sd over frames"][: len(handles)]
     style.add_legend(figure, handles, labels, len(handles))
     counts = [profile.frames for profile in profiles]
@@ -149,12 +146,10 @@ def _find_last_radius(profiles: list[Profile], highest: float) -> float:
 
     `highest` is the largest reading of all profiles [DN].
     """
-    last = MIN_RADIUS
-    for profile in profiles:
-        for curve in (profile.measured, profile.simulated):
-            # Readings above the lowest one, which has little light.
-            bright_rings = np.flatnonzero(curve - np.nanmin(curve) > MIN_FRACTION * highest)
-            last = max(last, profile.radius[bright_rings[-1]] if bright_rings.size else 0.0)
+    curves = np.array([curve for profile in profiles for curve in (profile.measured, profile.simulated)])
+    # Readings above the lowest one, which has little light.
+    is_bright = (curves - np.nanmin(curves, axis=1, keepdims=True) > MIN_FRACTION * highest).any(axis=0)
+    last = float(profiles[0].radius[is_bright].max(initial=MIN_RADIUS))
     return min(RADIUS_FACTOR * last, float(profiles[0].radius[-1]))
 
 

@@ -98,7 +98,6 @@ def draw_residuals(results: Results) -> style.Drawing:
         panel = panels[k] if k < len(panels) else None
         if panel is None:
             ax.set_axis_off()
-            ax.grid(False)
         else:
             _draw_panel(ax, panel, norm, half_side)
             if not is_table:
@@ -106,11 +105,9 @@ def draw_residuals(results: Results) -> style.Drawing:
     if is_table:
         _name_rows_and_columns(axes, table)
     # One label in the middle of each edge.
-    for edge, label in ((axes[-1], {"xlabel": "x from the fitted centre / px"}),
-                        (axes[:, 0], {"ylabel": "y from the fitted centre / px"})):  # fmt: skip
-        visible = [ax for ax in edge if ax.axison]
-        if visible:
-            visible[len(visible) // 2].set(**label)
+    for edge, axis in ((axes[-1], "x"), (axes[:, 0], "y")):
+        if visible := [ax for ax in edge if ax.axison]:
+            visible[len(visible) // 2].set(**{f"{axis}label": f"{axis} from the fitted centre / px"})
     bar: dict[str, Any] = {"label": "measured − simulated / DN", "extend": "both", "shrink": 0.7, "aspect": 30}
     figure.colorbar(ScalarMappable(norm, style.DIVERGING_MAP), ax=list(axes.ravel()), **bar)
     counts = [len(panel.spots) for panel in usable_panels]
@@ -142,7 +139,7 @@ def _draw_panel(ax: Axes, panel: Panel, norm: Normalize, half_side: float) -> No
 
     `half_side` is half the side of the shown part [px].
     """
-    row, column = (float(np.mean([getattr(spot, name) for spot in panel.spots])) for name in ("row", "column"))
+    row, column = np.mean([(spot.row, spot.column) for spot in panel.spots], axis=0)
     extent = style.centred_extent(panel.residual.shape, row, column)
     style.show_image(ax, panel.residual, style.DIVERGING_MAP, norm, extent)
     variances, directions = np.linalg.eigh(np.mean([spot.covariance for spot in panel.spots], axis=0))

@@ -16,7 +16,7 @@ from spotcheck.dataset.folder import Dataset, load
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.scan_caustic import CONDITION as CAUSTIC_AXIS
 from spotcheck.io import store
-from spotcheck.sensor import ReadingDistribution, SensorModel
+from spotcheck.sensor import ReadingDistribution
 
 # Design of the paper: exposures [s] and fibre orientations [degree].
 PAPER_EXPOSURES, PAPER_ANGLES = (1e-4, 5e-4, 9e-4), (0.0, 45.0, 90.0, 135.0)
@@ -127,16 +127,8 @@ class Results:
             Mean reading, including the black level [DN], of the shape of `light_dn`. If gain or read noise is unknown,
             `light_dn` is returned instead.
         """
-        sensor = self._sensor_model()
-        if sensor is None:
+        ds = self.find("sensor")
+        if ds is None or (sensor := read_sensor_model(ds)) is None:
             return light_dn
         distribution = ReadingDistribution(sensor, exposure_s=exposure_s or 0.0)
-        table = distribution.tabulate(float(np.max(light_dn)))
-        return table.mean(light_dn)
-
-    def _sensor_model(self) -> SensorModel | None:
-        """Return the sensor in sensor.nc; None if gain or read noise is unknown, or if the file does not exist."""
-        try:
-            return read_sensor_model(self.get("sensor"))
-        except Unavailable:
-            return None
+        return distribution.tabulate(float(np.max(light_dn))).mean(light_dn)

@@ -4,7 +4,7 @@ The grid has the dimensions angle, exposure and repeat, and one for each conditi
 In a plot one dimension becomes the abscissa, one has a line for each value, and frames are averaged over all others.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,6 +95,13 @@ def value_text(ds: xr.Dataset, dim: str, k: int) -> str:
     values, unit, _ = axis_values(ds, dim)
     text = style.format_value(values[k], unit)
     return text if unit else f"{style.axis_name(dim)} {text}"
+
+
+def iterate_places(ds: xr.Dataset, dims: Iterable[str]) -> Iterator[dict[str, int]]:
+    """Yield each combination of indices on some dimensions, the last one varying fastest, by dimension."""
+    dims = tuple(dims)
+    for index in np.ndindex(*(ds.sizes[dim] for dim in dims)):
+        yield dict(zip(dims, index, strict=True))
 
 
 def condition_text(ds: xr.Dataset, index: dict[str, int]) -> str:

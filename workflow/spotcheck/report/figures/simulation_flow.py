@@ -15,9 +15,9 @@ from spotcheck.report.figures import style
 from spotcheck.report.figures.entry import Category, Entry
 from spotcheck.report.figures.results import Results, Unavailable
 
-# Sizes [inch]: height of a step and gap below it, left ends of both columns, and their widths.
+# Sizes [inch]: height of a step and gap below it, left end and width of the boxes, left end of the stages.
 STEP_HEIGHT, STEP_GAP = 0.5, 0.16
-LEFT, WIDTH, STAGES_LEFT, STAGES_WIDTH = 0.05, 4.15, 4.35, 2.2
+LEFT, WIDTH, STAGES_LEFT = 0.05, 4.15, 4.35
 # Colours of a box and of its border.
 FACE, BORDER = "#e4eef6", "#0072B2"
 
