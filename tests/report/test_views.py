@@ -235,7 +235,7 @@ def test_each_frame_has_its_own_light():
             assert left > 1.2
         np.testing.assert_allclose(
             views.without[0].predict_mean(ready.frames, number),
-            round_light(ready, views.model.fitted.spots, number),
+            round_light(ready, views.model.spots, number),
             atol=0.02,
         )
 

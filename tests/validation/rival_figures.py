@@ -30,6 +30,8 @@ LARGEST_SHARE = 0.1
 GAIN_LIMITS, GAIN_TICKS = (1.0, 300.0), (1.0, 10.0, 100.0)
 # Column of the printed values in the table of held-out numbers.
 PRINTED_COLUMN = "print"
+# Strokes and gaps of the lines of the worlds, in line widths.
+DASHES = ((6, 2), (6, 2, 1.2, 2), (1.2, 1.6), (3, 1.5), (9, 2, 3, 2), (6, 1.5, 1, 1, 1, 1.5))
 
 
 def draw_law(record: Record) -> style.Drawing:
@@ -47,12 +49,13 @@ def draw_law(record: Record) -> style.Drawing:
 
     handles: list[Any] = ax.plot(measured_us, law_px(printed), color="black", linewidth=5, alpha=0.25)
     labels = ["printed p1 ln t + p2"]
-    for (name, world), line in zip(record["worlds"].items(), style.line_styles(len(record["worlds"])), strict=True):
+    lines = zip(style.line_styles(len(record["worlds"])), DASHES, strict=False)
+    for (name, world), (line, dashes) in zip(record["worlds"].items(), lines, strict=True):
         means = dict(zip(names, world["mean"], strict=True))
-        ax.plot(measured_us, law_px(means), color=line.colour, dashes=line.dashes)
+        ax.plot(measured_us, law_px(means), color=line.colour, dashes=dashes)
         short = [_find_prediction(world, f"fitted width, exposure of {1e6 * t:.0f} µs") for t in SHORT_EXPOSURES_S]
         mean, sd = ([prediction[key] for prediction in short] for key in ("mean", "sd"))
-        look = {"color": line.colour, "marker": line.marker, "dashes": line.dashes, "linewidth": 0.7}
+        look = {"color": line.colour, "marker": line.marker, "dashes": dashes, "linewidth": 0.7}
         handles.append(ax.errorbar(1e6 * np.array(SHORT_EXPOSURES_S), mean, yerr=sd, **look))
         labels.append(name)
     ax.set_xscale("log")

@@ -25,7 +25,7 @@ from spotcheck.discrepancy.frames import FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import spot_conditions
 from spotcheck.discrepancy.residuals import select_all_pixels
-from spotcheck.discrepancy.starting_spots import FittedSpots, acts_on_mean, fit_spots
+from spotcheck.discrepancy.starting_spots import acts_on_mean, fit_spots
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.spot_states import list_spot_states
 from spotcheck.io import progress, store
@@ -82,19 +82,20 @@ class ModelledFrames:
 
     lights: tuple[ForwardModel, ...]  # model with each light, without a law, with the effects on the mean reading only
     light_index: np.ndarray  # index in `lights` of the light of each frame [frame]
-    fitted: FittedSpots  # fitted spots of the frames
+    spots: FrameParameters  # spots of the frames
+    covariance: np.ndarray  # of ln peak, ln σ_g, x and y of each fitted spot [frame, 4, 4]
 
     def predict_mean(self, frames: FrameSet, k: int) -> np.ndarray:
         """Return the mean reading [row, column] in DN of the crop of frame `k` of `frames`."""
         index = np.array([k])
         frame = frames.select(index)
-        model = JointModel(self.lights[self.light_index[k]], self.fitted.spots.select(index), frame.design)
+        model = JointModel(self.lights[self.light_index[k]], self.spots.select(index), frame.design)
         return evaluate(model, select_all_pixels(frame), slice(0, 1), with_slopes=False).moments.mean[0]
 
     def compute_log_spots(self, frames: FrameSet) -> np.ndarray:
         """Return ln peak [DN] and ln σ_g [px] of the fitted spots after the effects act on them, [2, frame]."""
         # All lights give the same spots: they only differ in the learned shape.
-        return compute_log_spots(self.lights[0], frames, self.fitted.spots)
+        return compute_log_spots(self.lights[0], frames, self.spots)
 
     def remove_effect(self, name: str, spots: FrameParameters) -> "ModelledFrames":
         """Return the model without the effect `name`, with `spots` in place of the fitted ones."""
@@ -102,7 +103,7 @@ class ModelledFrames:
             replace(light, effects=tuple(applied for applied in light.effects if applied.effect.name != name))
             for light in self.lights
         )
-        return replace(self, lights=lights, fitted=replace(self.fitted, spots=spots))
+        return replace(self, lights=lights, spots=spots)
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def fit_declared(viewed: ViewedFrames) -> ModelledFrames:
     # With a "free" photon budget no law ties the brightness to the exposure.
     forward = ForwardModel(replace(viewed.baseline, photon_budget="free"), viewed.sensor)
     fitted = fit_spots(forward, viewed.frames, viewed.start)
-    return ModelledFrames((forward,), np.zeros(len(viewed.frames), int), fitted)
+    return ModelledFrames((forward,), np.zeros(len(viewed.frames), int), fitted.spots, fitted.covariance)
 
 
 def fit_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[Site]) -> ExtendedViews:
@@ -165,7 +166,7 @@ def fit_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[
     shapes = extended.lights or (baseline.learned,)
     effects = tuple(filter(acts_on_mean, extended.effects))
     lights = tuple(ForwardModel(replace(baseline, learned=shape), viewed.sensor, None, effects) for shape in shapes)
-    model = ModelledFrames(lights, light_index, _fit_each_light(lights, light_index, viewed))
+    model = ModelledFrames(lights, light_index, *_fit_each_light(lights, light_index, viewed))
     without = []
     for applied in progress.track(extended.effects, "models without each effect"):
         reduced = model.remove_effect(applied.effect.name, _predict_spots_without(viewed, extended, model, applied))
@@ -176,18 +177,20 @@ def fit_extended(viewed: ViewedFrames, extended: ExtendedModel, sites: Sequence[
     return ExtendedViews(model, tuple(without), *_measure_deviations(viewed, extended, model, sites))
 
 
-def _fit_each_light(lights: Sequence[ForwardModel], light_index: np.ndarray, viewed: ViewedFrames) -> FittedSpots:
-    """Return the spot of each frame, fitted with the model of its light: `lights[light_index[frame]]`."""
-    start = viewed.start.as_rows()
-    parameters, frames = start.shape
-    rows, covariance = np.empty_like(start), np.empty((frames, parameters, parameters))
-    has_converged = np.empty(frames, bool)
+def _fit_each_light(
+    lights: Sequence[ForwardModel], light_index: np.ndarray, viewed: ViewedFrames
+) -> tuple[FrameParameters, np.ndarray]:
+    """Return the spot of each frame and its covariance, fitted with the model of its light.
+
+    This model is `lights[light_index[frame]]`.
+    """
+    rows = np.empty_like(viewed.start.as_rows())
+    covariance = np.empty((len(viewed.frames), len(rows), len(rows)))
     for k, forward in enumerate(lights):
         indices = np.flatnonzero(light_index == k)
         fitted = fit_spots(forward, viewed.frames.select(indices), viewed.start.select(indices))
         rows[:, indices], covariance[indices] = fitted.spots.as_rows(), fitted.covariance
-        has_converged[indices] = fitted.has_converged
-    return FittedSpots(FrameParameters(*rows), covariance, has_converged)
+    return FrameParameters(*rows), covariance
 
 
 def _predict_spots_without(
@@ -197,7 +200,7 @@ def _predict_spots_without(
 
     The fitted spots are returned unchanged if the effect does not change the law, or if there is no law.
     """
-    spots = model.fitted.spots
+    spots = model.spots
     if extended.law is None:
         return spots
     remaining = [applied for applied in extended.effects if applied is not removed]
@@ -221,7 +224,7 @@ def _measure_deviations(
     """
     # Rows in the order of `DEVIATIONS`: relative brightness and width, column and row.
     value = np.full((len(DEVIATIONS), len(viewed.frames)), np.nan)
-    spots = model.fitted.spots
+    spots = model.spots
     if extended.law is not None:
         law_model = ForwardModel(viewed.baseline, viewed.sensor, extended.law, tuple(extended.effects))
         log_spots_by_law = compute_log_spots(law_model, viewed.frames)
@@ -230,7 +233,7 @@ def _measure_deviations(
         if (spot := extended.spots.get(site)) is not None:
             value[2:, k] = spots.x[k] - spot.x_px, spots.y[k] - spot.y_px
     # Rounding may make a variance slightly negative.
-    stderr = np.sqrt(np.maximum(np.diagonal(model.fitted.covariance, axis1=1, axis2=2).T, 0.0))
+    stderr = np.sqrt(np.maximum(np.diagonal(model.covariance, axis1=1, axis2=2).T, 0.0))
     # The fit gives errors of ln peak and ln σ_g; d(ratio) = ratio · d(ln ratio). Errors of law and site are excluded.
     stderr[:2] *= 1 + value[:2]
     stderr = np.where(np.isfinite(value), stderr, np.nan)
@@ -342,10 +345,9 @@ def _list_coordinates(dataset: Dataset, line: NoiseLine, effect_names: Sequence[
 
     The variance of a reading [DN²] is noise_at_zero + noise_slope · mean reading [DN].
     """
-    ds = xr.Dataset()
+    pixels, ds = np.arange(dataset.instrument.crop_px, dtype="i4"), xr.Dataset()
     for name, text in (("y", "row of the crop"), ("x", "column of the crop")):
-        values = np.arange(dataset.instrument.crop_px, dtype="i4")
-        ds[name] = (name, values, {"units": "pixel", "long_name": text})
+        ds[name] = (name, pixels, {"units": "pixel", "long_name": text})
     if effect_names:
         attributes = {"units": "1", "long_name": "effect that is left out"}
         ds["without"] = ("without", np.array(effect_names, dtype=object), attributes)
@@ -390,7 +392,7 @@ def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | N
     extended = None
     if model is not None:
         sites = viewed.list_sites(dataset.instrument.conditions, model.law is not None)
-        extended = fit_extended(replace(viewed, start=declared.fitted.spots), model, sites)
+        extended = fit_extended(replace(viewed, start=declared.spots), model, sites)
     for k, (index, _) in enumerate(viewed.cells):
         values: dict[str, Any] = {"declared": declared.predict_mean(viewed.frames, k)}
         if extended is not None:

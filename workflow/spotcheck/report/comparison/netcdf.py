@@ -82,8 +82,8 @@ def build_dataset(comparison: Comparison) -> xr.Dataset:
         },
     )
     for name, field, long_name in TEXT_VARIABLES:
-        texts = [[getattr(number, field) for number in row.numbers] for row in rows]
-        ds[name] = (DIMS, np.array(texts, object).T, {"units": "1", "long_name": long_name})
+        texts = [[getattr(row.numbers[k], field) for row in rows] for k in range(len(datasets))]
+        ds[name] = _texts(DIMS, texts, long_name)
     numbers, changes = [row.numbers for row in rows], [row.changes for row in rows]
     for variables, records_of_rows in ((NUMBER_VARIABLES, numbers), (DIFFERENCE_VARIABLES, changes)):
         for name, field, long_name in variables:
@@ -100,9 +100,9 @@ def build_dataset(comparison: Comparison) -> xr.Dataset:
     return ds
 
 
-def _texts(dim: str, texts: Sequence[str], long_name: str) -> Variable:
-    """Return a variable of texts along one dimension."""
-    return dim, np.array(texts, object), {"units": "1", "long_name": long_name}
+def _texts(dims: str | tuple[str, ...], texts: Sequence, long_name: str) -> Variable:
+    """Return a variable of texts; `texts` has the dimensions `dims`."""
+    return dims, np.array(texts, object), {"units": "1", "long_name": long_name}
 
 
 def _flags(dims: str | tuple[str, ...], flags: np.ndarray, subject: str) -> Variable:

@@ -113,13 +113,10 @@ def tabulate_transfer(transfer: xr.Dataset, citations: Citations) -> dict[str, A
                 "why": quantity.why,
             }
         )
-    ranges = [
-        [
-            citations.cite(text, f"transfer.range_{name}[range={k}]")
-            for name, text in zip(RANGE_COLUMNS, row, strict=True)
-        ]
-        for k, row in enumerate(tabulate_ranges(transfer))
-    ]
+    ranges = []
+    for k, texts in enumerate(tabulate_ranges(transfer)):
+        keys = (f"transfer.range_{name}[range={k}]" for name in RANGE_COLUMNS)
+        ranges.append(list(map(citations.cite, texts, keys)))
     return {"rows": rows, "remarks": store.remarks_of(transfer), "ranges": ranges}
 
 
@@ -181,13 +178,12 @@ def tabulate_fits(dataset: Dataset, fits: xr.Dataset, citations: Citations) -> l
     rows = []
     for index, frame in list(dataset.cells())[:MAX_FIT_ROWS]:
         fit = preferred.isel({axis.name: k for axis, k in zip(dataset.axes, index, strict=True)})
-        cells = []
+        cells: list[str] = []
         for name in PARAMETERS:
             value, error = float(fit[name]), float(fit[f"{name}_stderr"])
-            text = quantity_text(value, error)
             # The orientation of a round spot is not defined; its error is infinite.
-            is_known = np.isfinite(value) and not np.isinf(error)
-            cells.append(citations.cite_frame(text, f"fits.{name}", frame.label) if is_known else "–")
+            text = quantity_text(value, error) if np.isfinite(value) and not np.isinf(error) else "–"
+            cells.append(citations.cite_frame(text, f"fits.{name}", frame.label))
         chi2 = number_text(float(fit["chi2_reduced"]))
         cells.append(citations.cite_frame(chi2, "fits.chi2_reduced", frame.label))
         rows.append((frame.label, cells))
@@ -205,10 +201,8 @@ def tabulate_levels(dataset: Dataset, files: dict[str, xr.Dataset]) -> dict[str,
     p1, p2, gain = float(used["p1_mean"]), float(used["p2_mean"]), float(files["sensor"]["gain_dn_per_e"])
     longest_s = max(frame.exposure_s or 0.0 for frame in dataset.spots)
     try:
-        rows = [
-            (text, number_text(peak))
-            for text, peak in estimate_plateau_levels(dataset.instrument, longest_s, p1, p2, gain)
-        ]
+        levels = estimate_plateau_levels(dataset.instrument, longest_s, p1, p2, gain)
+        rows = [(text, number_text(peak)) for text, peak in levels]
     except InputError:
         return None
     return {"rows": rows, "calibrated": float(used["peak"]), "exposure": quantity_text(longest_s, None, "s")}
@@ -267,15 +261,12 @@ def _precision_texts(condition: xr.Dataset, source: str) -> list[tuple[str, str,
     scatter to bound for width and amplitude. The variable is that of precision.nc without its ending, which is the
     `source`, "measured" or "simulated". The parameter is "" for the count.
     """
-
-    def value(name: str, parameter: str) -> float:
-        """Return the value of a variable for a parameter of the fit."""
-        return float(condition[f"{name}_{source}"].sel(parameter=parameter))
-
     texts = [("frames", "", str(int(condition[f"frames_{source}"])))]
-    texts += [(name, "sigma_mean", number_text(value(name, "sigma_mean"), digits=2)) for name in ("scatter", "bound")]
+    for variable in ("scatter", "bound"):
+        value = float(condition[f"{variable}_{source}"].sel(parameter="sigma_mean"))
+        texts.append((variable, "sigma_mean", number_text(value, digits=2)))
     for parameter in ("sigma_mean", "amplitude"):
-        ratio, error = value("ratio", parameter), value("ratio_stderr", parameter)
+        ratio, error = (float(condition[f"{k}_{source}"].sel(parameter=parameter)) for k in ("ratio", "ratio_stderr"))
         texts.append(("ratio", parameter, quantity_text(ratio, error) if np.isfinite(ratio) else "–"))
     return texts
 

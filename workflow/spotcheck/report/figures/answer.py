@@ -97,11 +97,11 @@ def choose_example(ds: xr.Dataset) -> Example:
     # Sum over the blocks of each condition [row of the table, column of the table].
     squares = {model: np.nansum(image**2, axis=(2, 3)) for model, image in residuals.items()}
     has_residual = np.all([np.isfinite(image).any(axis=(2, 3)) for image in residuals.values()], axis=0)
+    if not has_residual.any():
+        raise Unavailable("no condition has a residual")
     reduction = np.where(has_residual, squares[BEFORE] - squares.get(AFTER, 0.0), -np.inf)
     row, column = np.unravel_index(int(np.argmax(reduction)), reduction.shape)
     shown_residuals = {model: image[row, column] for model, image in residuals.items()}
-    if not all(np.isfinite(image).any() for image in shown_residuals.values()):
-        raise Unavailable("no condition has a residual")
     measured = table.read(ds, "reading")[row, column]
     x0, y0, sigma = (float(table.read(ds, name)[row, column]) for name in ("spot_x", "spot_y", "sigma"))
     x, y = ds["block_x"].values - x0, ds["block_y"].values - y0

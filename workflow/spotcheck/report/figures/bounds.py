@@ -27,12 +27,10 @@ LINE_NAMES = {"poisson_gauss": "Solid", "poisson": "dashed", "dn": "dotted"}
 PAPER_DASHES = (0, (6, 1.5, 1.2, 1.5))
 
 
-class PaperCurves(NamedTuple):
-    """Variances as the paper seems to have computed them, scaled to its largest printed values."""
-
-    times: np.ndarray  # exposure times [point], in the unit of the abscissa
-    peak: np.ndarray  # variance of the photons on the brightest pixel [point] in photons²
-    sigma: np.ndarray  # variance of the width [point] in m²
+# Exposure times [point] in the unit of the abscissa, and variances [point] as the paper seems to have computed them,
+# scaled to its largest printed values: of the photons on the brightest pixel ("peak") in photons², and of the width
+# ("sigma") in m².
+PaperCurves = dict[str, np.ndarray]
 
 
 class Abscissa(NamedTuple):
@@ -52,12 +50,10 @@ def draw_over_exposure(results: Results) -> style.Drawing:
     x = Abscissa("exposure", ds["fine_exposure"].values * factor, results.exposures() * factor, label)
     paper = None
     if results.has_paper_design():
-        times, *variances = printed_curves(results.instrument)
-        # (smallest, largest) printed value of each curve.
-        printed = (PRINTED_PEAK_VARIANCE, PRINTED_SIGMA_VARIANCE)
-        paper = PaperCurves(
-            times * factor, *(v / v.max() * ends[1] for v, ends in zip(variances, printed, strict=True))
-        )
+        times, peak, sigma = printed_curves(results.instrument)
+        # The printed ranges are (smallest, largest) value.
+        peak, sigma = peak / peak.max() * PRINTED_PEAK_VARIANCE[1], sigma / sigma.max() * PRINTED_SIGMA_VARIANCE[1]
+        paper = {"times": times * factor, "peak": peak, "sigma": sigma}
     return _draw_bounds(results, ds, x, fixed="along the calibrated p1 and p2", marked="exposure times", paper=paper)
 
 
@@ -100,9 +96,9 @@ def _draw_bounds(
             ax.plot(x.values, bound, linewidth=1.6, **LOOKS[law])[0] for law, bound in zip(laws, values.T, strict=True)
         ]
         if paper is not None:
-            curve = paper.peak if parameter == "peak" else paper.sigma
-            handles += ax.plot(paper.times, curve, color=style.ACCENT, linestyle=PAPER_DASHES, linewidth=1.6)
-            values = np.append(values.ravel(), curve)
+            look = {"color": style.ACCENT, "linestyle": PAPER_DASHES, "linewidth": 1.6}
+            handles += ax.plot(paper["times"], paper[parameter], **look)
+            values = np.append(values.ravel(), paper[parameter])
         ax.set(xscale="log", yscale="log", xlabel=x.label)
         # Whole decades, since an axis of less than one has many long numbers: 2 · 10⁻¹⁶, 3 · 10⁻¹⁶, …
         finite = values[np.isfinite(values) & (values > 0)]
@@ -125,8 +121,7 @@ def _draw_bounds(
             " 62.5; its scale, which does not follow from the print, is set to the printed largest values. It is no"
             " bound for both parameters: the bounds in electrons, of all pixels, are."
         )
-    note = "In print: 3 · 10⁷ to 2.65 · 10¹⁴ for the photons, 2 · 10⁻¹⁸ to 1.25 · 10⁻¹⁶ m² for the width."
-    return style.Drawing(figure, caption + results.paper_note(note))
+    return style.Drawing(figure, caption)
 
 
 FIGURES = (

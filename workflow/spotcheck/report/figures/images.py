@@ -67,11 +67,7 @@ def draw_frame(results: Results, source: str) -> style.Drawing:
         f"{', and the marked part enlarged' if is_enlarged else ''}. Measured and simulated frames share one"
         " colour scale."
     )
-    note = (
-        "The paper shows 900 µs as well, and finds the simulated plateau close to the real one, the real flanks steeper"
-        " and the real plateau crossed by horizontal lines."
-    )
-    return style.Drawing(figure, caption + results.paper_note(note))
+    return style.Drawing(figure, caption)
 
 
 def draw_superposition(results: Results) -> style.Drawing:
@@ -107,8 +103,7 @@ def draw_superposition(results: Results) -> style.Drawing:
         f" {levels_text} % of the simulated maximum, after a Gaussian filter of {SMOOTH_PX:g} px that suppresses"
         " noise. Right: the row (top) and the column (bottom) through the centre, not filtered."
     )
-    note = "The paper reads the same overlay by eye: plateaus agree, the measured edge falls more steeply."
-    return style.Drawing(figure, caption + results.paper_note(note))
+    return style.Drawing(figure, caption)
 
 
 FIGURES = (

@@ -54,7 +54,6 @@ class MetricPlot:
     metric: str  # variable of metrics.nc
     label: str  # label of the ordinate with unit; {tens} stands for the power of ten by which values are divided
     meaning: str  # definition of the metric, the start of the caption
-    note: str = ""  # numbers in print, for comparison; "" if the paper does not show the metric
     # Smallest and largest measured mean in print at 100, 500 and 900 µs, in the unit of the metric; () without any.
     printed: tuple[tuple[float, float], ...] = ()
 
@@ -120,7 +119,7 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
         all_values = metrics[plot.metric].sel(centring="light", source="measured", fit=fit)
         if untrusted_count := int(all_values.notnull().sum() - measured_values.notnull().sum()):
             caption += f" {untrusted_count} fits that did not converge or have an implausible width are not counted."
-    return style.Drawing(figure, caption + (results.paper_note(plot.note) if plot.note else ""))
+    return style.Drawing(figure, caption)
 
 
 def _select_values(ds: xr.Dataset, metric: str, fit: str, source: str) -> xr.DataArray:
@@ -165,7 +164,7 @@ def _draw_series(
         mean, sd = statistics.mean[line] / divisor, statistics.sd[line] / divisor
         return series.draw_error_bars(ax, x + offset, mean, sd, look, is_filled)
 
-    handles: list = [draw_bars(measured, left, style.LineStyle(style.MEASURED, "o", ()), True)]
+    handles: list = [draw_bars(measured, left, style.LineStyle(style.MEASURED, "o"), True)]
     mean, frames = declared.mean[line] / divisor, declared.frames[line]
     look: dict[str, Any] = {"color": style.SIMULATED, "linestyle": style.DASHED}
     if is_constant and frames.any():
@@ -173,7 +172,7 @@ def _draw_series(
     else:
         handles += ax.plot(x, mean, marker="s", markerfacecolor="white", **look)
     if extended is not None:
-        handles.append(draw_bars(extended, right, style.LineStyle(style.ACCENT, "^", ()), False))
+        handles.append(draw_bars(extended, right, style.LineStyle(style.ACCENT, "^"), False))
     return handles
 
 
@@ -239,8 +238,7 @@ def draw_psnr(results: Results) -> style.Drawing:
         f" range {sensor_range_db:.1f} dB, and registered {registered_db:.1f} dB."
         f" {series.frames_text(averages[0], axes)}."
     )
-    note = "In print the means are 53 to 58 dB, highest at 100 µs, with spreads of 0.7 to 3.4 dB."
-    return style.Drawing(figure, caption + results.paper_note(note))
+    return style.Drawing(figure, caption)
 
 
 # (smallest, largest) printed mean of a quantity, in its unit.
@@ -259,40 +257,30 @@ CONTRAST = MetricPlot(
     "speckle_contrast",
     "speckle contrast $C_s$",
     "Speckle contrast (standard deviation over mean of a crop)",
-    "In print the measured means lie between 4.4 and 9.5, the simulated values between 3.5 and 5.2, and the spread at"
-    " 100 µs is about twice that of the longer exposures.",
     (CONTRAST_RANGE,) * 3,
 )
 MAXIMUM = MetricPlot(
     "maximum",
     "largest reading / DN",
     "Largest reading of a crop",
-    "In print every measured mean exceeds 800 DN and all of them lie within 6 DN, over angles and exposures alike; the"
-    " simulation is at most 43 DN off at 100 µs, below 8 DN at the longer two.",
     ((SMALLEST_MAXIMUM, SMALLEST_MAXIMUM + PRINTED_BY_NAME["maximum_spread"]),) * 3,
 )
 AMPLITUDE = MetricPlot(
     "amplitude",
     "fitted amplitude / DN",
     "Peak of the fitted Gaussian above its offset",
-    "In print the fitted amplitudes are 839 to 924 DN at 100 µs with a spread of up to 227 DN, and 992 to 1062 DN with"
-    " at most 51 DN at the longer two.",
     (SHORT_AMPLITUDE_RANGE, LONG_AMPLITUDE_RANGE, LONG_AMPLITUDE_RANGE),
 )
 MEAN_WIDTH = MetricPlot(
     "sigma_mean",
     "fitted width $\\bar{\\sigma}$ / px",
     "Direction-averaged standard deviation of the fitted Gaussian (mean of its long and short axis)",
-    "In print the spreads are 1 to 4 px and measured means lie within 2 px of the simulation from 0° to 90°; they rise"
-    " from 45° to 90° and drop to 135°, where 100 µs is 4.5 px off. No width is printed: the grey range is that of the"
-    " printed p1 ln t + p2 without and with the 1.19 px of the laser's own spot, which the paper leaves open.",
     tuple((width, width + LASER_PX) for width in PRINTED_WIDTHS_PX),
 )
 TOTAL = MetricPlot(
     "sum",
     "sum of readings / {tens}DN",
     "Sum of all readings of a crop",
-    "In print the spreads reach 1.1 · 10⁶ and the simulated sums lie inside nearly all of them.",
 )
 # All other metrics of single crops, by name.
 OTHERS = {

@@ -36,7 +36,7 @@ def draw_parameters(results: Results) -> style.Drawing:
     right.grid(False)
     right.spines["right"].set_visible(True)
     handles, labels = [], []
-    lines = (style.LineStyle(style.MEASURED, "o", ()), style.LineStyle(style.SIMULATED, "s", ()))
+    lines = (style.LineStyle(style.MEASURED, "o"), style.LineStyle(style.SIMULATED, "s"))
     statistics = {name: series.require_values(series.average_frames(ds[name], axes), name) for name in ("p1", "p2")}
     for k, (name, ax, line) in enumerate(zip(statistics, (left, right), lines, strict=True)):
         x = series.set_abscissa(left, ds, axes)
@@ -54,12 +54,8 @@ def draw_parameters(results: Results) -> style.Drawing:
             printed, printed_sd = PRINTED_BY_NAME[name], PRINTED_BY_NAME[f"{name}_sd"]
             ax.axhspan(printed - printed_sd, printed + printed_sd, facecolor=line.colour, alpha=0.12, zorder=0.5)
     style.add_legend(figure, handles, labels, 2)
-    other_estimators = [str(name) for name in calibration["estimator"].values if name != used]
-    other_texts = [
-        _estimator_text(calibration, name)
-        for name in other_estimators
-        if np.isfinite(calibration["p1_mean"].sel(estimator=name))
-    ]
+    known = calibration["estimator"].values[np.isfinite(calibration["p1_mean"].values)]
+    other_texts = [_estimator_text(calibration, str(name)) for name in known if name != used]
     sites = statistics["p1"]
     caption = (
         "Beam propagation parameters p1 and p2 (Eq. 8) of every site, averaged at each"
@@ -70,11 +66,7 @@ def draw_parameters(results: Results) -> style.Drawing:
         f" {int(sites.frames.sum())} sites. Estimator: {calibration.attrs[f'estimator_{used}']} ({used})."
         f" Others: {'; '.join(other_texts)}."
     )
-    note = (
-        "The paper prints p1 = 2.48 ± 0.32 and p2 = 34.55 ± 1.20 in metres; they are consistent only in pixels. Bands"
-        " in the colours of p1 and p2 show the printed ranges."
-    )
-    return style.Drawing(figure, caption + results.paper_note(note))
+    return style.Drawing(figure, caption)
 
 
 def _estimator_text(calibration: xr.Dataset, name: str) -> str:

@@ -16,8 +16,11 @@ from spotcheck.dataset.folder import Dataset, load
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.scan_caustic import CONDITION as CAUSTIC_AXIS
 from spotcheck.io import store
+from spotcheck.io.schema import read_yaml
 from spotcheck.sensor import ReadingDistribution
 
+# Notes on figures of the paper, by the name of the figure.
+PAPER_NOTES = Path(__file__).with_name("paper_notes.yaml")
 # Design of the paper: exposures [s] and fibre orientations [degree].
 PAPER_EXPOSURES, PAPER_ANGLES = (1e-4, 5e-4, 9e-4), (0.0, 45.0, 90.0, 135.0)
 
@@ -104,12 +107,13 @@ class Results:
         pairs = ((self.exposures(), PAPER_EXPOSURES), (angles, PAPER_ANGLES))
         return all(len(values) == len(printed) and np.allclose(values, printed) for values, printed in pairs)
 
-    def paper_note(self, note: str) -> str:
-        """Return the end of a caption that compares with the paper: a space and `note`.
+    def paper_note(self, figure: str) -> str:
+        """Return what the paper states beside a figure, with a space before it; `figure` is the name of the figure.
 
-        Returns "" if exposures and angles are not those of the paper.
+        Returns "" if it states nothing, or if exposures and angles are not those of the paper.
         """
-        return f" {note}" if self.has_paper_design() else ""
+        note = read_yaml(PAPER_NOTES).get(figure)
+        return f" {note}" if note and self.has_paper_design() else ""
 
     def mean_reading(self, light_dn: np.ndarray, exposure_s: float | None) -> np.ndarray:
         """Return the mean reading of pixels, with the rounding and clipping of the sensor.

@@ -107,8 +107,7 @@ def draw_setup(results: Results) -> style.Drawing:
         + "; the tilt of the laser, which is mounted beside the camera, is exaggerated. Numbers: thin lens far from its"
         " object (Eq. 1), grain by Eq. 3, depth of focus by Eq. 4 for a blur of one pixel."
     )
-    note = "The paper rounds M to 0.2 where it prints 10.296 µm for the grain and 1.872 px."
-    return style.Drawing(figure, caption + results.paper_note(note))
+    return style.Drawing(figure, caption)
 
 
 def list_numbers(results: Results, geometry: Geometry) -> list[tuple[str, str]]:

@@ -1,7 +1,6 @@
 """House style of the figures: sizes, colours, units on axes, and reproducible files."""
 
 import io
-from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -31,10 +30,7 @@ LUMA = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in luma
 LINE_COLOURS = (0.02, 0.80)
 SINGLE_LUMA = 0.36  # luma of a single line
 DASHED = (0, (5, 2))  # line style of simulated curves
-# Markers and dashes of a series of lines; dashes alternate between stroke and gap, in line widths.
-MARKERS = "osD^vPX*"
-DASHES: Sequence[tuple[float, ...]]
-DASHES = ((6, 2), (6, 2, 1.2, 2), (1.2, 1.6), (3, 1.5), (9, 2, 3, 2), (6, 1.5, 1, 1, 1, 1.5))
+MARKERS = "osD^vPX*"  # markers of a series of lines
 # Values below this fraction of the largest are rounding errors of zero; the choice of a prefix ignores them.
 ZERO_FRACTION = 1e-9
 # SI prefixes by power of ten.
@@ -56,11 +52,10 @@ class Drawing(NamedTuple):
 
 
 class LineStyle(NamedTuple):
-    """Appearance of a line of measured values and of its simulated counterpart."""
+    """Appearance of a line of measured values."""
 
-    colour: Any  # Matplotlib colour of both
-    marker: str  # Matplotlib marker of both
-    dashes: tuple[float, ...]  # strokes and gaps of the simulated counterpart, in line widths
+    colour: Any  # Matplotlib colour
+    marker: str  # Matplotlib marker
 
 
 class DisplayUnit(NamedTuple):
@@ -130,7 +125,7 @@ def line_styles(count: int) -> list[LineStyle]:
     luma = shades[:, :3] @ LUMA
     line_luma = np.linspace(luma[0], luma[-1], count) if count > 1 else np.array([SINGLE_LUMA])
     colours = shades[np.searchsorted(luma, line_luma).clip(0, len(shades) - 1)]
-    return [LineStyle(colour, MARKERS[k % len(MARKERS)], DASHES[k % len(DASHES)]) for k, colour in enumerate(colours)]
+    return [LineStyle(colour, MARKERS[k % len(MARKERS)]) for k, colour in enumerate(colours)]
 
 
 def choose_unit(values: Any, unit: str) -> DisplayUnit:

@@ -32,8 +32,7 @@ def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None 
         `paper` of each drawn figure; `paper` is the corresponding figure of the paper ("Fig. 7") or None. `skipped` has
         `name`, `title` and the reason `why` of each figure that the results do not support.
     """
-    drawn: list[dict[str, str | None]] = []
-    skipped: list[dict[str, str | None]] = []
+    index: dict[str, list] = {"figures": [], "skipped": []}
     for entry in progress.track(every_figure() if entries is None else entries, "drawing figures"):
         record: dict[str, str | None] = {"name": entry.name, "title": entry.title}
         try:
@@ -44,11 +43,12 @@ def write_all(results: Results, folder: Path, entries: tuple[Entry, ...] | None 
                 drawing = entry.draw(results)
                 style.save_drawing(drawing, folder, entry.name)
         except Unavailable as reason:
-            skipped.append(record | {"why": str(reason)})
+            index["skipped"].append(record | {"why": str(reason)})
             for suffix in style.FORMATS:
                 (folder / f"{entry.name}.{suffix}").unlink(missing_ok=True)
         else:
-            drawn.append(record | {"caption": drawing.caption, "category": entry.category.value, "paper": entry.paper})
-    index = {"figures": drawn, "skipped": skipped}
+            caption = drawing.caption + results.paper_note(entry.name)
+            described = {"caption": caption, "category": entry.category.value, "paper": entry.paper}
+            index["figures"].append(record | described)
     store.write_text(folder / "index.json", json.dumps(index, indent=1, ensure_ascii=False) + "\n")
     return index

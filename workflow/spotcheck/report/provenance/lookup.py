@@ -5,7 +5,6 @@ value of a coordinate or an index. Text on hover is shown by the report beside a
 """
 
 import shlex
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +42,9 @@ def find_number(results: str | Path, question: str) -> Number:
     name, labels = parse_question(question)
     entry = catalog.find_entry(name, labels)
     stored = catalog.stored.get(entry.key) or _read_table(results, catalog, entry, labels, question)
-    finite = replace(stored, value=_finite_or_none(stored.value), stderr=_finite_or_none(stored.stderr))
+    finite = {name: _finite_or_none(getattr(stored, name)) for name in ("value", "stderr")}
     return Number(
-        **vars(finite),
+        **(vars(stored) | finite),
         key=add_labels(entry.key, entry, stored.labels),
         short_key=add_labels(catalog.find_short_name(entry), entry, stored.labels),
         source=catalog.sources[entry.path[0]],
