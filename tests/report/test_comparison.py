@@ -1,9 +1,7 @@
 """Several datasets side by side: what counts as changed, which numbers are compared, and what cannot be."""
 
-import io
 import json
 import re
-from contextlib import redirect_stdout
 from dataclasses import astuple
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from spotcheck.report.comparison.netcdf import build_dataset
 from spotcheck.report.comparison.numbers import ABSENT, Measurement
 from spotcheck.report.comparison.table import Comparison, Row, compare_datasets
 from spotcheck.sensor import SensorModel
+from tests.report.stages import run_stages
 from tests.samples.example_datasets import HEADER, LAW, design
 
 
@@ -120,35 +119,20 @@ def test_pages_of_equal_datasets_mark_nothing():
 # Datasets through the stages.
 
 
-def stages(folder: Path, out: Path) -> None:
-    """Results of a dataset of spots up to p1 and p2."""
-    frames, crops, sensor, fits = (out / f"{name}.nc" for name in ("frames", "crops", "sensor", "fits"))
-    for command, options in (
-        ("ingest", ["--output", frames]),
-        ("crop", ["--frames", frames, "--output", crops]),
-        ("sensor", ["--crops", crops, "--frames", frames, "--output", sensor]),
-        ("fit", ["--crops", crops, "--sensor", sensor, "--output", fits]),
-        ("calibrate", ["--crops", crops, "--fits", fits, "--sensor", sensor, "--output", out / "calibration.nc"]),
-    ):
-        with redirect_stdout(io.StringIO()):
-            cli.run([command, str(folder), *map(str, options)])
-
-
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory) -> dict[str, Path]:
     """Results of frames that are drawn alike twice, `before` and `again`; of a p1 larger by 0.05 px; and of a part of
     the exposures, which its camera read back 0.02 % longer."""
     base = tmp_path_factory.mktemp("sets")
-    for name, seed, change, exposures in (
-        ("before", 1, {}, (1e-4, 3e-4, 9e-4)),
-        ("again", 2, {}, (1e-4, 3e-4, 9e-4)),
-        ("after", 3, {"p1_px": LAW["p1_px"] + 0.05}, (1e-4, 3e-4, 9e-4)),
-        ("part", 4, {}, (3.0006e-4, 9.0018e-4)),
-    ):
-        plan = design(base / "plans" / name, exposures=exposures)
-        simulate_dataset(plan, base / name, **(LAW | change), seed=seed)
-        stages(base / name, base / "out" / name)
-    return {name: base / "out" / name for name in ("before", "again", "after", "part")}
+    plans = {
+        "before": (LAW, (1e-4, 3e-4, 9e-4)),
+        "again": (LAW, (1e-4, 3e-4, 9e-4)),
+        "after": (LAW | {"p1_px": LAW["p1_px"] + 0.05}, (1e-4, 3e-4, 9e-4)),
+        "part": (LAW, (3.0006e-4, 9.0018e-4)),
+    }
+    for seed, (name, (law, exposures)) in enumerate(plans.items(), start=1):
+        simulate_dataset(design(base / "plans" / name, exposures=exposures), base / name, **law, seed=seed)
+    return {name: run_stages(base / name, base / "out" / name) for name in plans}
 
 
 def row(found: Comparison, what: str, *where: float) -> Row:
@@ -197,7 +181,7 @@ def test_conditions_that_were_read_back_are_one(sets):
     assert lacking.numbers[2] == ABSENT and np.isfinite(lacking.changes[1].z) and np.isnan(lacking.changes[2].z)
 
 
-def flats_folder(folder: Path, gain: float, seed: int) -> Path:
+def flats_folder(folder: Path, gain: float, seed: int) -> None:
     """A dataset of flats and darks: twelve levels of each, two frames a level."""
     camera, rng = SensorModel(gain, 9.0, black_level_dn=30.0, full_scale_dn=4095.0), np.random.default_rng(seed)
     (folder / "frames").mkdir(parents=True)
@@ -209,24 +193,16 @@ def flats_folder(folder: Path, gain: float, seed: int) -> Path:
             rows.append(f"frames/{kind}{level}_{repeat}.tif,{kind},,{1e-3 * (1 + level)!r},{repeat}")
     (folder / "manifest.csv").write_text("\n".join(rows) + "\n")
     (folder / "instrument.yaml").write_text("sensor: {bit_depth: 12}\n")
-    return folder
-
-
-def flats_of(folder: Path, gain: float, seed: int) -> Path:
-    """Results of such a dataset."""
-    out = flats_folder(folder, gain, seed).parent / "out" / folder.name
-    with redirect_stdout(io.StringIO()):
-        cli.run(["ingest", str(folder), "--output", str(out / "frames.nc")])
-        cli.run(["transfer", str(folder), "--frames", str(out / "frames.nc"), "--output", str(out / "transfer.nc")])
-    return out
 
 
 @pytest.fixture(scope="module")
 def cameras(tmp_path_factory) -> dict[str, Path]:
     """Results of flats of one camera twice, and of one whose gain is 20 % larger."""
     base = tmp_path_factory.mktemp("cameras")
-    gains = (("first", 0.30, 1), ("same", 0.30, 2), ("other", 0.36, 3))
-    return {name: flats_of(base / name, gain, seed) for name, gain, seed in gains}
+    gains = {"first": 0.30, "same": 0.30, "other": 0.36}
+    for seed, (name, gain) in enumerate(gains.items(), start=1):
+        flats_folder(base / name, gain, seed)
+    return {name: run_stages(base / name, base / "out" / name, ["ingest", "transfer"]) for name in gains}
 
 
 def test_a_change_of_gain_is_marked(cameras):
@@ -344,11 +320,3 @@ def test_the_page_by_the_command_line(sets, tmp_path, capsys):
     assert "quantities changed beyond their errors" in capsys.readouterr().out
     over = page.read_text(encoding="utf-8").split('id="quantity-data">')[1].split("</script>")[0]
     assert json.loads(over)["labels"] == ["before", "after"]
-
-
-def test_one_folder_alone_is_answered_in_a_sentence(sets, tmp_path, capsys):
-    with pytest.raises(SystemExit) as ended:
-        words = ["compare", str(sets["before"]), "--page", str(tmp_path / "a"), "--output", str(tmp_path / "b")]
-        cli.main(words)
-    assert ended.value.code == 2
-    assert capsys.readouterr().err == "spotcheck: 1 dataset to compare; name two or more\n"

@@ -220,7 +220,7 @@ def test_every_verdict_has_its_tables(tmp_path, kind):
     assert [row["name"] for row in content["effects"]] == [effect["name"] for effect in verdict["effects"]]
     tests = [effect["evidence"]["consistency"] for effect in verdict["effects"]]
     assert [row["cells"] for row in content["effects"]] == ["–" if test is None else test["cells"] for test in tests]
-    assert (evidence.tabulate_data_sheet(verdict, citations) is None) == (not verdict["sheet"])
+    assert (evidence.compare_data_sheet(verdict) is None) == (not verdict["sheet"])
     text = TEMPLATES.get_template("dataset_page/evidence.html").render(evidence=content)
     assert not re.search(r"\bNone\b|\bnan\b", text)
 

@@ -33,7 +33,6 @@ from spotcheck.report.figures import answer, every_figure, series, style
 from spotcheck.report.figures.discrepancy import tabulate_conditions
 from spotcheck.report.figures.entry import Category
 from spotcheck.report.figures.results import Results, Unavailable
-from spotcheck.report.figures.write import write_all
 from spotcheck.report.pages import TEMPLATES
 from spotcheck.report.pages.citations import Citations
 from tests.samples import small_set as small
@@ -195,7 +194,8 @@ def test_profiles_and_the_gap_are_those_of_the_pixels(ghostly):
     square = (known.residual**2 / known.variance).mean()
     assert float(place["gap_before"]) == pytest.approx(square, rel=2e-3) and square > 1.5
     assert (np.abs(ghostly.ds["gap_after"] - ghostly.ds["gap_floor"]) < 5 * ghostly.ds["gap_stderr"]).all()
-    assert float(ghostly.ds["gap_floor"]) == pytest.approx(1, abs=0.05)
+    # The noise of the extended model over that of the declared one, which has less light.
+    assert 1 < float(ghostly.ds["gap_floor"]) < 1.05
     assert float(place["gap_stderr"]) == pytest.approx(np.sqrt(2 / known.residual.size), rel=0.05)
     assert ghostly.ds.attrs["gap_on"] == "frames that were searched"
 
@@ -326,18 +326,8 @@ def test_no_answer_without_a_verdict(ghostly, tmp_path):
             answer.draw_answer(results)
 
 
-def test_equal_inputs_give_equal_pictures(ghostly, tmp_path):
-    """Byte by byte."""
-    entries = tuple(entry for entry in ENTRIES if entry.name == "missing-gap")
-    for name in ("one", "two"):
-        with Results(ghostly.results.folder, ghostly.results.dataset) as results:
-            write_all(results, tmp_path / name, entries)
-    files = sorted(p.name for p in (tmp_path / "one").iterdir() if p.is_file())
-    assert len(files) == 2 * len(entries) + 1
-    assert all((tmp_path / "one" / n).read_bytes() == (tmp_path / "two" / n).read_bytes() for n in files)
-
-
 NO_SPOT = "no spot could be fitted in any frame"
+PLACES = "Places of the largest residuals"
 
 
 def test_nothing_assessed_leaves_the_reason(tmp_path):
@@ -405,35 +395,25 @@ def page(findings: Findings, base: Path) -> tuple[str, dict]:
     return re.sub("</?span[^>]*>", "", html), verdict
 
 
-def test_the_report_shows_the_verdict(tmp_path):
-    """Sentence, effects with values and rivals, the gap, the law, advice and places."""
-    findings = replace(KINDS["pair"][0], not_assessed=NAMED.not_assessed, law=MOVED)
+@pytest.mark.parametrize(
+    ("findings", "there", "not_there"),
+    [
+        (
+            replace(KINDS["pair"][0], not_assessed=NAMED.not_assessed, law=MOVED),
+            ["<code>ghost_reflection</code>", "fraction = 0.0239 ± 0.0004", "<td>scatter_halo</td>", "98 %",
+             "held-out repeats", "<td>p1</td>", "12 frames at an exposure of 1.8 ms",
+             "<code>angle_reflectance</code>: fewer than three", PLACES, "<td>row 96, column 120 at 0.4 ms</td>"],
+            [],
+        ),
+        (agree(), ["light smeared along columns below 0.04 %"], []),
+        (Findings(reason=NO_SPOT), ["no spot could be fitted"], ["<td>p1</td>", PLACES]),
+    ],
+    ids=["a pair", "upper limits", "not assessed"],
+)  # fmt: skip
+def test_the_report_shows_the_verdict(findings, there, not_there, tmp_path):
+    """Sentence, effects with values and rivals, the gap, the law, advice and places, how large an effect that is not
+    named could still be; where nothing was assessed the reason, and no table."""
     text, verdict = page(findings, tmp_path)
-    parts = (
-        verdict["sentence"][:40],
-        "<code>ghost_reflection</code>",
-        "fraction = 0.0239 ± 0.0004",
-        "<td>scatter_halo</td>",
-        "98 %",
-        "held-out repeats",
-        "<td>p1</td>",
-        "12 frames at an exposure of 1.8 ms",
-        "<code>angle_reflectance</code>: fewer than three",
-        "Places of the largest residuals",
-        "<td>row 96, column 120 at 0.4 ms</td>",
-    )
-    for part in parts:
-        assert part in text, part
-    assert "None" not in text and "nan" not in text
-
-
-def test_the_report_tells_limits(tmp_path):
-    """How large an effect that is not named could still be."""
-    assert "light smeared along columns below 0.04 %" in page(agree(), tmp_path)[0]
-
-
-def test_the_report_of_what_was_not_assessed(tmp_path):
-    """The reason stands there, and no table."""
-    text, _ = page(Findings(reason=NO_SPOT), tmp_path)
-    assert "no spot could be fitted" in text
-    assert "<td>p1</td>" not in text and "Places of the largest residuals" not in text
+    assert verdict["sentence"][:40] in text
+    assert [part for part in there if part not in text] == []
+    assert not any(part in text for part in (*not_there, "None", "nan"))

@@ -20,6 +20,7 @@ from spotcheck.report.figures.entry import Category
 from spotcheck.report.figures.results import Results, Unavailable
 from spotcheck.report.figures.write import write_all
 from spotcheck.report.pages.equations import find_equations
+from tests.report.stages import SPOTS, run_stages
 from tests.samples.small_datasets import ROOT
 
 INSTRUMENT = """\
@@ -61,31 +62,18 @@ def tiny(tmp_path_factory) -> tuple[Path, Path]:
                 light = 4e6 * t * np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / (2 * sigma**2)) / sigma**2
                 read = 0.11 * rng.poisson(light / 0.11) + rng.normal(0, 1.43, light.shape)
                 tifffile.imwrite(data / f"frames/{a}_{t}_{r}.tif", np.clip(np.rint(read), 0, 1023).astype("u2"))
-    simulated = out / "simulated"
-    of = {name: str(out / f"{name}.nc") for name in ("frames", "crops", "sensor", "fits", "calibration", "simulated")}
-    again = {name: str(simulated / f"{name}.nc") for name in ("frames", "crops", "fits")}
-    sensor, both = ["--sensor", of["sensor"]], ["--crops", of["crops"], "--fits", of["fits"]]
-    drawn = ["--seed", "1", "--folder", simulated, "--output", of["simulated"]]
-    pairs = ["--crops", of["crops"], again["crops"], "--fits", of["fits"], again["fits"]]
+    run_stages(data, out, [*SPOTS, "bounds", "caustic"])
+    simulated, sensor = out / "simulated", f"--sensor {out}/sensor.nc"
+    calibration, fits = f"--calibration {out}/calibration.nc", f"--fits {out}/fits.nc"
+    main(f"simulate {data} {calibration} {fits} {sensor} --seed 1 --folder {simulated} --output {simulated}.nc".split())
+    run_stages(simulated, simulated, ["ingest", "crop"])
+    crops, fits = f"--crops {out}/crops.nc {simulated}/crops.nc", f"{fits} {simulated}/fits.nc"
     for line in (
-        ["ingest", data, "--output", of["frames"]],
-        ["crop", data, "--frames", of["frames"], "--output", of["crops"]],
-        ["sensor", data, "--crops", of["crops"], "--frames", of["frames"], "--output", of["sensor"]],
-        ["fit", data, "--crops", of["crops"], *sensor, "--output", of["fits"]],
-        ["calibrate", data, *both, *sensor, "--output", of["calibration"]],
-        ["simulate", data, "--calibration", of["calibration"], "--fits", of["fits"], *sensor, *drawn],
-        ["ingest", simulated, "--output", again["frames"]],
-        ["crop", simulated, "--frames", again["frames"], "--output", again["crops"]],
-        ["fit", data, "--crops", again["crops"], *sensor, "--output", again["fits"]],
-        ["metrics", *pairs, *sensor, "--output", out / "metrics.nc"],
-        ["bounds", data, "--calibration", of["calibration"], *sensor, "--output", out / "bounds.nc"],
-        [
-            *("precision", data, "--fits", of["fits"], again["fits"], "--calibration", of["calibration"]),
-            *(*sensor, "--output", out / "precision.nc"),
-        ],
-        ["caustic", data, "--fits", of["fits"], "--output", out / "caustic.nc"],
+        f"fit {data} --crops {simulated}/crops.nc {sensor} --output {simulated}/fits.nc",
+        f"metrics {crops} {fits} {sensor} --output {out}/metrics.nc",
+        f"precision {data} {fits} {calibration} {sensor} --output {out}/precision.nc",
     ):
-        main([str(word) for word in line])
+        main(line.split())
     return data, out
 
 
@@ -114,9 +102,7 @@ def test_names_titles_and_inputs_of_the_registry():
     wanted = "5 6 7 8a 8b 8c 9a 9b 10a 10b 11 12 13a 13b".split()
     assert papers == {f"Fig. {number}" for number in wanted}
 
-
-def test_order_of_the_report():
-    """By category, in the order in which `Category` lists them."""
+    # By category, in the order in which `Category` lists them.
     places = [list(Category).index(entry.category) for entry in every_figure()]
     assert places == sorted(places) and len(set(places)) == len(Category)
 

@@ -20,11 +20,9 @@ from spotcheck.io.provenance import file_digest
 from spotcheck.model.design import simulate_dataset
 from spotcheck.report import provenance
 from spotcheck.report.provenance.explanation import number_text
-from spotcheck.report.provenance.text_files import read_verdict
+from tests.report.stages import run_stages
 from tests.samples.example_datasets import LAW, design, flats
-from tests.samples.small_datasets import ROOT
 
-DEFAULT = ROOT / "results" / "virtual-rig"
 VERDICT = {
     "schema": 4,
     "detection": {"p_value": 1e-5, "alpha": 0.01, "worst": None},
@@ -60,26 +58,27 @@ def results(tmp_path_factory) -> Path:
     simulate_dataset(design(base / "design"), base / "drawn", **LAW, seed=3)
     out = base / "results" / "drawn"
     store.claim(out, base / "drawn")
-    told = {name: f"--{name} {out}/{name}.nc" for name in ("frames", "crops", "sensor", "fits")}
-    for command, needs, made in (
-        ("ingest", (), "frames"),
-        ("crop", ("frames",), "crops"),
-        ("sensor", ("crops", "frames"), "sensor"),
-        ("fit", ("crops", "sensor"), "fits"),
-        ("calibrate", ("crops", "fits", "sensor"), "calibration"),
-    ):
-        words = shlex.split(" ".join([*(told[own] for own in needs), f"--output {out}/{made}.nc"]))
-        cli.run([command, str(base / "drawn"), *words])
+    run_stages(base / "drawn", out)
     seen = [out / "crops.nc", out / "sensor.nc"]
     store.write_text(out / "verdict.json", json.dumps(VERDICT), code="abc123", inputs=seen)
     store.write_text(out / "paper_numbers.csv", PAPER, code="abc123", inputs=[out / "calibration.nc"])
-    for name in ("model.yaml", "light.nc", "discrepancy.nc"):
-        if name.endswith(".nc"):
-            nothing = xr.Dataset(attrs={"title": "none", "dataset": "drawn", "skipped": "for this test"})
-            store.write(nothing, out / name, code="abc123", inputs=seen)
-        else:
-            (out / name).touch()
+    (out / "model.yaml").touch()
+    for name in ("light.nc", "discrepancy.nc"):
+        nothing = xr.Dataset(attrs={"title": "none", "dataset": "drawn", "skipped": "for this test"})
+        store.write(nothing, out / name, code="abc123", inputs=seen)
     return out
+
+
+@pytest.fixture
+def explain(results, capsys):
+    """Return what `spotcheck explain` prints of these results, or of those of another folder."""
+
+    def printed(*words: str, folder: Path = results) -> str:
+        capsys.readouterr()
+        cli.run(["explain", *words, "--results", str(folder)])
+        return capsys.readouterr().out
+
+    return printed
 
 
 def test_p1_is_that_of_the_estimator_in_use(results):
@@ -133,9 +132,8 @@ def test_short_names(results, asked, key, value, stderr, unit):
     """Each has its own error and unit, or none, and words; the key gives the same again."""
     number = provenance.find_number(results, asked)
     assert (number.key, number.value, number.stderr, number.unit) == (key, value, stderr, unit)
-    assert number.description and provenance.find_number(results, number.key) == number == provenance.find_number(
-        results, number.short_key
-    )
+    assert number.description
+    assert all(provenance.find_number(results, name) == number for name in (number.key, number.short_key))
 
 
 def test_every_key_is_answered(results):
@@ -146,9 +144,8 @@ def test_every_key_is_answered(results):
     for key in keys:
         number = provenance.find_number(results, key)
         assert number.key == key and number.description and number.unit
-        assert (bool(number.source.rule) and bool(number.source.inputs)) != (
-            Path(number.source.file).name == "instrument.yaml"
-        )
+        is_given = Path(number.source.file).name == "instrument.yaml"
+        assert bool(number.source.rule and number.source.inputs) != is_given
         assert provenance.find_number(results, number.short_key) == number
     for table in tables:
         name = table.split("[")[0]
@@ -187,7 +184,7 @@ def test_a_number_of_a_frame_is_named_on_hover(results):
         provenance.frame_hover_text(results, "views.nothing", frame)
 
 
-def test_what_the_data_sheet_states(results, tmp_path, capsys):
+def test_what_the_data_sheet_states(results, tmp_path, explain):
     """Value, unit and words of a key, whoever gave it, and whether that is a default; a sheet that was spoilt since is
     passed over."""
     given, tacit = (
@@ -198,8 +195,7 @@ def test_what_the_data_sheet_states(results, tmp_path, capsys):
     assert (given.value, given.unit, given.description) == (sheet.sensor.read_noise_e, "e-", "read noise, rms")
     assert (given.method, tacit.method) == ("", "the default: instrument.yaml does not give it")
     assert provenance.hover_text(given).startswith("instrument.yaml: sensor.read_noise_e, as given; explain: ")
-    cli.run(["explain", given.short_key, "--results", str(results)])
-    assert "  by     the user, who provided the file" in capsys.readouterr().out.splitlines()
+    assert "  by     the user, who provided the file" in explain(given.short_key).splitlines()
     own = shutil.copytree(results, tmp_path / "own")
     (own / ".dataset").write_text(str(tmp_path), encoding="utf-8")
     (tmp_path / "camera.yaml").write_text("{sensor: {read_noise_e: 7}, crop_px: 60}", encoding="utf-8")
@@ -254,13 +250,10 @@ def test_the_newest_files_answer(results, tmp_path):
     assert [made.name for made in number.source.inputs] == ["crops.nc"]
 
 
-def test_explained_to_a_person(results, capsys):
+def test_explained_to_a_person(results, explain):
     """The command says what a person calls it, its value as physicists round it, and the way down to the frames; and
     that the verdict has a p1 of its own."""
-    cli.run(["explain", "p1", "--results", str(results)])
-    said = capsys.readouterr().out
-    number = provenance.find_number(results, "p1")
-    lines = said.splitlines()
+    number, lines = provenance.find_number(results, "p1"), explain("p1").splitlines()
     assert lines[0] == f"p1 = {quantity_text(number.value, number.stderr, 'px')}"
     assert lines[1].strip() == "mean of p1 over all sites"
     assert f"    crops.nc  {file_digest(results / 'crops.nc')[:8]}  by rule crop" in lines
@@ -272,15 +265,14 @@ def test_explained_to_a_person(results, capsys):
     assert "    paper_numbers.p1 = 1.9 px" in lines
 
 
-def test_a_number_of_a_frame_names_it(results, capsys):
+def test_a_number_of_a_frame_names_it(results, explain):
     """With the digest that frames.nc has of its file; a number of many frames names none."""
-    cli.run(["explain", "fits.sigma_mean[angle=90, exposure=3e-4, repeat=1]", "--results", str(results)])
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  frame")]
+    said = explain("fits.sigma_mean[angle=90, exposure=3e-4, repeat=1]")
+    (line,) = [line for line in said.splitlines() if line.startswith("  frame")]
     given = dataset.load(results.parents[1] / "drawn")
     frame = next(f for f in given.spots if (f.angle_deg, f.exposure_s, f.repeat) == (90, 3e-4, 1))
     assert line == f"  frame  {frame.label}  {file_digest(given.folder / frame.file)[:8]}"
-    cli.run(["explain", "calibration.p1_by_angle[angle=90]", "--results", str(results)])
-    assert not [line for line in capsys.readouterr().out.splitlines() if line.startswith("  frame")]
+    assert "\n  frame" not in explain("calibration.p1_by_angle[angle=90]")
 
 
 def test_a_part_that_is_nearly_all(results):
@@ -290,30 +282,26 @@ def test_a_part_that_is_nearly_all(results):
     assert number_text(replace(number, value=1.0)) == "1"
 
 
-def test_explained_to_a_program(results, capsys):
+def test_explained_to_a_program(results, explain):
     """JSON has the number and the same tree."""
-    cli.run(["explain", "p1", "--results", str(results), "--json"])
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(explain("p1", "--json"))
     assert (told["key"], told["rule"], told["code"]) == ("calibration.p1_mean", "calibrate", told["code"])
     assert told["value"] == provenance.find_number(results, "p1").value
     assert [own["name"] for own in told["inputs"]] == ["crops.nc", "fits.nc", "sensor.nc"]
     assert [own["name"] for own in told["inputs"][0]["inputs"]] == ["frames.nc"]
 
 
-def test_a_shared_sheet_is_among_the_inputs(tmp_path, capsys):
+def test_a_shared_sheet_is_among_the_inputs(tmp_path, explain):
     """It lies outside the dataset; a change of it is seen."""
     folder, out = flats(tmp_path / "flats"), tmp_path / "results" / "flats"
     shared = tmp_path / "camera.yaml"
     shared.write_text("sensor: {dark_current_e_per_s: 70}", encoding="utf-8")
     (folder / "instrument.yaml").write_text("based_on: ../camera.yaml", encoding="utf-8")
     store.claim(out, folder)
-    cli.run(["ingest", str(folder), "--output", str(out / "frames.nc")])
-    cli.run(["transfer", str(folder), "--frames", str(out / "frames.nc"), "--output", str(out / "transfer.nc")])
+    run_stages(folder, out, ["ingest", "transfer"])
     for text, remark in (("", ""), ("# edited", "has changed since")):
         shared.write_text(f"sensor: {{dark_current_e_per_s: 70}}{text}", encoding="utf-8")
-        capsys.readouterr()
-        cli.run(["explain", "gain", "--results", str(out), "--json"])
-        (table,) = json.loads(capsys.readouterr().out)["inputs"]
+        (table,) = json.loads(explain("gain", "--json", folder=out))["inputs"]
         (own,) = (own for own in table["inputs"] if own["name"] == "camera.yaml")
         assert own["remark"] == remark
 
@@ -322,8 +310,7 @@ def test_a_sensor_by_flats(tmp_path):
     """Each quantity of the standard in its own unit, as transfer.nc holds it; and the verdict by the rule for flats."""
     out = tmp_path / "results"
     folder = flats(tmp_path / "flats")
-    cli.run(["ingest", str(folder), "--output", str(out / "frames.nc")])
-    cli.run(["transfer", str(folder), "--frames", str(out / "frames.nc"), "--output", str(out / "transfer.nc")])
+    run_stages(folder, out, ["ingest", "transfer"])
     levels = {"number": 40, "gain_dn_per_e": {"value": 0.3, "stderr": 0.01}, "light_scatter": 0.001}
     store.write_text(out / "verdict.json", json.dumps({"levels": levels}), code="1", inputs=[out / "frames.nc"])
     with store.read(out / "transfer.nc") as ds:
@@ -335,30 +322,25 @@ def test_a_sensor_by_flats(tmp_path):
     gain = provenance.find_number(out, "gain")
     assert gain.stderr == quantities["gain"].stderr and gain.variable == "value[quantity=gain]"
     level = provenance.find_number(out, "levels.gain_dn_per_e")
-    assert (level.source.rule, level.unit, [item.name for item in level.source.inputs]) == (
-        "flats",
-        "DN/e-",
-        ["frames.nc"],
-    )
+    assert (level.source.rule, level.unit) == ("flats", "DN/e-")
+    assert [item.name for item in level.source.inputs] == ["frames.nc"]
     assert (level.value, level.stderr) == (0.3, 0.01)
 
 
-def test_an_input_that_has_changed_is_told(results, tmp_path, capsys):
+def test_an_input_that_has_changed_is_told(results, tmp_path, explain):
     """The digest is of the file that was read, not of the one that lies there."""
     own = shutil.copytree(results, tmp_path / "own")
     (own / "fits.nc").unlink()
     with store.read(results / "crops.nc") as ds:
         store.write(ds.load().assign_attrs(title="another"), own / "crops.nc", code="1", inputs=[])
-    cli.run(["explain", "p1", "--results", str(own)])
-    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    lines = [line.strip() for line in explain("p1", folder=own).splitlines()]
     assert f"crops.nc  {file_digest(results / 'crops.nc')[:8]}  by rule crop  has changed since" in lines
     assert f"fits.nc  {file_digest(results / 'fits.nc')[:8]}  is gone" in lines
 
 
-def test_all_names_are_listed(results, capsys):
+def test_all_names_are_listed(explain):
     """Without a name the command lists numbers and tables."""
-    cli.run(["explain", "--results", str(results)])
-    said = capsys.readouterr().out.split()
+    said = explain().split()
     assert "calibration.p1_mean" in said and "verdict.gap.closed" in said
     assert "fits.sigma_mean[angle," in said
 
@@ -377,14 +359,3 @@ def test_the_folder_of_results_is_found(results, monkeypatch, tmp_path, capsys):
         cli.run(["explain", "p1", "--results", str(tmp_path / "results" / "more")])
     with pytest.raises(InputError, match="no such folder"):
         cli.run(["explain", "p1", "--results", "nowhere"])
-
-
-@pytest.mark.skipif(not (DEFAULT / "verdict.json").exists(), reason="the default dataset was not run here")
-def test_the_default_dataset():
-    """Every number of its results is answered, each number of its verdict among them."""
-    keys = provenance.list_numbers(DEFAULT)
-    assert {entry.key for entry, _ in read_verdict(DEFAULT / "verdict.json")} <= set(keys)
-    for key in keys:
-        number = provenance.find_number(DEFAULT, key)
-        assert number.description and (number.source.rule or key.startswith("instrument.")), key
-        assert number.value is None or np.isfinite(number.value), key

@@ -9,10 +9,9 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from spotcheck.discrepancy.findings import Detection, ResidualTest
 from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.joint_fit import JointModel
-from spotcheck.discrepancy.pictures import AFTER, BEFORE, draw_pictures, sum_blocks, z_of_strongest
+from spotcheck.discrepancy.pictures import sum_blocks, z_of_strongest
 from spotcheck.discrepancy.starting_spots import fit_spots, load_spots, spots_by_moments
 from spotcheck.io import store
 from spotcheck.model.effect import AppliedEffect
@@ -22,10 +21,9 @@ from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot
 from spotcheck.report.views import ViewedFrames, fit_declared, fit_extended, rms_residual
 from tests.samples import drawn_frames as drawing
-from tests.samples.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
+from tests.samples.drawn_frames import DrawnFrames, DrawnLight, draw_frames, lay_out
 from tests.samples.models_of_frames import (
     BASELINE,
-    DEPARTURES,
     SENSOR,
     apply_effect,
     frame_set,
@@ -46,11 +44,8 @@ def viewed(drawn: DrawnFrames) -> ViewedFrames:
 
 def sites_of(drawn: DrawnFrames) -> list[Site]:
     """Return the site of each frame."""
-    conditions = drawn.conditions
-    return [
-        Site(float(np.rad2deg(angle)), None, int(repeat), ())
-        for angle, repeat in zip(conditions.angle, conditions.repeat, strict=True)
-    ]
+    places = zip(np.rad2deg(drawn.conditions.angle).tolist(), drawn.conditions.repeat.tolist(), strict=True)
+    return [Site(angle, None, repeat, ()) for angle, repeat in places]
 
 
 def extended(drawn: DrawnFrames, *effects: AppliedEffect, **changes) -> ExtendedModel:
@@ -195,16 +190,14 @@ def test_without_a_law_effect_frames_lose_its_brightness():
     ready = viewed(plain())
     with_law = fit_extended(ready, extended(plain(), law), sites_of(plain()))
     without = fit_extended(ready, extended(plain()), sites_of(plain()))
-    factor = np.exp(
-        with_law.without[0].compute_log_spots(ready.frames)[0] - with_law.model.compute_log_spots(ready.frames)[0]
-    )
+    removed, kept = (model.compute_log_spots(ready.frames)[0] for model in (with_law.without[0], with_law.model))
+    factor = np.exp(removed - kept)
     # The law multiplies the peaks by a factor of the angle, which is known from how the deviations differ.
     by_law = (1 + without.deviations["brighter"]) / (1 + with_law.deviations["brighter"])
     np.testing.assert_allclose(factor, 1 / by_law, rtol=1e-9)
     assert np.ptp(factor) > 0.05
-    np.testing.assert_allclose(
-        with_law.model.predict_mean(ready.frames, 0), without.model.predict_mean(ready.frames, 0), rtol=1e-9
-    )
+    means = [views.model.predict_mean(ready.frames, 0) for views in (with_law, without)]
+    np.testing.assert_allclose(*means, rtol=1e-9)
 
 
 def test_without_a_law_there_is_no_law_to_deviate_from():
@@ -219,25 +212,20 @@ def test_each_frame_has_its_own_light():
     """Of two learned lights a frame has that of its spot; without the effect of the light it has the declared one."""
     flat = LightShape(HILL.step, np.zeros_like(HILL.coefficients))
     lights = [0 if site.angle_deg == 0 else 1 for site in sites_of(plain())]
-    spots = {
-        site: Spot(0.0, 0.0, light=light) for site, light in zip(sites_of(plain()), lights, strict=True)
-    }  # fmt: skip
+    spots = {site: Spot(0.0, 0.0, light=light) for site, light in zip(sites_of(plain()), lights, strict=True)}
     model = extended(plain(), apply_effect("beam_profile", power=0.02, order=1.0), spots=spots, lights=(flat, HILL))
     ready = viewed(plain())
     views, declared = fit_extended(ready, model, sites_of(plain())), fit_declared(ready)
     for number, light in enumerate(lights):
         left = left_over_noise(views.model, ready.frames, number)
-        if light == 0:
-            np.testing.assert_allclose(
-                views.model.predict_mean(ready.frames, number), declared.predict_mean(ready.frames, number), atol=0.01
-            )
-        elif drawn_at_longest(number):
-            assert left > 1.2
-        np.testing.assert_allclose(
-            views.without[0].predict_mean(ready.frames, number),
-            round_light(ready, views.model.spots, number),
-            atol=0.02,
+        mean, without, plain_mean = (
+            model.predict_mean(ready.frames, number) for model in (views.model, views.without[0], declared)
         )
+        if light == 0:
+            np.testing.assert_allclose(mean, plain_mean, atol=0.01)
+        elif CONDITIONS.exposure_s[number] == max(drawing.EXPOSURES_S):
+            assert left > 1.2
+        np.testing.assert_allclose(without, round_light(ready, views.model.spots, number), atol=0.02)
 
 
 def round_light(ready: ViewedFrames, spots: FrameParameters, number: int) -> np.ndarray:
@@ -246,11 +234,6 @@ def round_light(ready: ViewedFrames, spots: FrameParameters, number: int) -> np.
     y, x = np.mgrid[: drawing.SIDE, : drawing.SIDE]
     square = (x + frames.left[number] - spots.x[number]) ** 2 + (y + frames.top[number] - spots.y[number]) ** 2
     return drawing.BLACK + np.exp(spots.log_peak[number] - square / (2 * np.exp(2 * spots.log_sigma[number])))
-
-
-def drawn_at_longest(number: int) -> bool:
-    """Return whether a frame has the longest exposure."""
-    return CONDITIONS.exposure_s[number] == max(drawing.EXPOSURES_S)
 
 
 def test_scatter_leaves_the_mean():
@@ -271,66 +254,7 @@ def test_the_rms_leaves_masked_pixels_out():
     assert np.isnan(rms_residual(np.full((2, 2), np.nan), np.zeros((2, 2)), line)).all()
 
 
-# Pictures.
-
-
-@cache
-def pictures() -> tuple[DrawnFrames, xr.Dataset]:
-    """Return drawn frames with a pedestal of 2 DN, and the pictures of the model without and with it."""
-    departure = DEPARTURES["pedestal"]
-    drawn = draw_frames(9, CONDITIONS, DrawnLight(pedestal_dn=2.0), DrawnCamera())
-    frames, spots = frame_set(drawn), true_spots(drawn)
-    forward = ForwardModel(replace(BASELINE, photon_budget="free"), SENSOR)
-    before = JointModel(forward, spots, frames.design)
-    after = replace(before, forward=replace(forward, effects=(departure.start.with_value("level", 2.0),)))
-    angles, exposures = (tuple(np.unique(v).tolist()) for v in (np.rad2deg(CONDITIONS.angle), CONDITIONS.exposure_s))
-    axes = (
-        store.Axis("angle", angles, "degree", "fibre orientation"),
-        store.Axis("exposure", exposures, "s", "exposure time"),
-        store.Axis("repeat", (0.0, 1.0), "1", "repeat"),
-    )
-    cells = [
-        tuple(axis.index(float(value)) for axis, value in zip(axes, row, strict=True))
-        for row in zip(np.rad2deg(CONDITIONS.angle), CONDITIONS.exposure_s, CONDITIONS.repeat, strict=True)
-    ]
-    dataset = SimpleNamespace(axes=axes, title="t", name="n")
-    tests = (ResidualTest("blocks", "row 3", 5.0, 1e-6, 4.9), ResidualTest("rows", "", 1.0, 0.3, 1.0))
-    models = {BEFORE: before, AFTER: after}
-    return drawn, draw_pictures(dataset, cells, frames, models, Detection(2e-6, tests), status="named", alpha=0.01)
-
-
-def test_maps_are_means_over_repeats_and_blocks():
-    """Residuals of the declared model are the readings less a Gaussian and the black level, frame by frame."""
-    drawn, ds = pictures()
-    y, x = np.mgrid[: drawing.SIDE, : drawing.SIDE]
-    for angle in ds["angle"].values:
-        for exposure in ds["exposure"].values:
-            at = np.isclose(np.rad2deg(CONDITIONS.angle), angle) & (CONDITIONS.exposure_s == exposure)
-            left = []
-            for k in np.flatnonzero(at):
-                square = (x + drawn.left[k] - drawn.x[k]) ** 2 + (y + drawn.top[k] - drawn.y[k]) ** 2
-                light = drawn.peak_dn[k] * np.exp(-square / (2 * drawn.sigma_px[k] ** 2))
-                left.append(drawn.readings[k] - light - drawing.BLACK)
-            assert len(left) == 2
-            shown = ds["residual_before"].sel(angle=angle, exposure=exposure)
-            np.testing.assert_allclose(shown, np.mean(left, axis=0), atol=0.02)
-
-
-def test_what_was_added_closes_the_gap():
-    """Before, the pedestal is left everywhere; after, noise alone: that of the pedestal's light too."""
-    _, ds = pictures()
-    # Variance of a dark reading of 2 DN of light over that of one without; both are over the declared model's.
-    dark = (drawing.GAIN * drawing.READ_NOISE_E) ** 2 + 1 / 12
-    assert 1 < float(ds["gap_floor"]) < (dark + 2 * drawing.GAIN) / dark
-    # 5184 blocks of one pixel in each of two frames and six conditions: their mean scatters by 0.008, limits are five.
-    assert float(ds["gap_after"].mean()) == pytest.approx(float(ds["gap_floor"]), abs=0.04)
-    np.testing.assert_allclose(ds["gap_stderr"], float(ds["gap_floor"]) * np.sqrt(2 / (2 * drawing.SIDE**2)))
-    assert (ds["gap_before"] > 2 * ds["gap_after"]).all()
-    z = (ds["profile_before"] - 2.0) / ds["profile_before_stderr"]
-    # 35 rings in 6 conditions: the largest of 210 z exceeds 5 with a probability of 1e-4.
-    assert float(np.abs(z).max()) < 5
-    assert float(np.abs(ds["profile_after"] / ds["profile_after_stderr"]).max()) < 5
-    assert float(ds["z_radial"][..., 2:].min()) > float(ds["z_threshold"])
+# Sums over blocks, and the strongest azimuthal order.
 
 
 def test_sums_over_blocks_leave_out_masked_pixels():
@@ -351,14 +275,6 @@ def test_sums_over_blocks_leave_out_masked_pixels():
     is_known = sums.pixels > 0
     chi2 = np.sum(sums.residual[is_known] ** 2 / sums.variance[is_known])
     assert abs(chi2 - is_known.sum()) < 5 * np.sqrt(2 * is_known.sum())
-
-
-def test_tests_of_detection_are_named():
-    """Each test has its place and its z."""
-    _, ds = pictures()
-    assert list(ds["part"].values) == ["blocks: row 3", "rows"]
-    np.testing.assert_array_equal(ds["part_z"], [4.9, 1.0])
-    store.check(ds, "pictures")
 
 
 def test_z_of_the_strongest_order():

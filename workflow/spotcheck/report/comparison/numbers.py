@@ -119,10 +119,9 @@ def _read_or_refuse(
     try:
         return dict(read(content))
     except KeyError:
-        name = content["dataset"] if isinstance(content, dict) else content.attrs["dataset"]
-        raise InputError(
-            f"{file_name} of {name}: is of another version; run the workflow on the dataset again"
-        ) from None
+        name = getattr(content, "attrs", content)["dataset"]
+        fault = f"{file_name} of {name}: is of another version; run the workflow on the dataset again"
+        raise InputError(fault) from None
 
 
 def _measure(value: Any, stderr: Any, units: str, error: str, source: str, degrees: float = np.inf) -> Measurement:

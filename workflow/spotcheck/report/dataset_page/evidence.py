@@ -129,27 +129,13 @@ def _limit_row(limit: Mapping[str, Any], effect: Effect | None, citations: Citat
     }
 
 
-def tabulate_data_sheet(verdict: dict[str, Any], citations: Citations) -> dict[str, Any] | None:
+def compare_data_sheet(verdict: dict[str, Any]) -> dict[str, Any] | None:
     """Return the variable `sheet` of sheet.html: numbers of the data sheet beside the same numbers as fitted.
 
-    The fit combines data sheet and frames. Each row has name, stated and fitted value, shift, and whether the frames
-    contradict the data sheet. The shift is (fitted − stated) / standard error of the stated value. Returns None if no
-    number of the data sheet was fitted.
+    The fit combines data sheet and frames. `rows` are the entries of the verdict, `hint` is a text beside the heading.
+    Returns None if no number of the data sheet was fitted.
     """
-    if not verdict["sheet"]:
-        return None
-    rows = []
-    for entry in verdict["sheet"]:
-        key, unit = f"verdict.sheet.{entry['name']}", entry["unit"]
-        shift = f"{entry['stated_errors']:.2g}".replace("-", "−")
-        rows.append(
-            {
-                "name": entry["name"].replace("_", " "),
-                "stated": citations.cite(quantity_text(entry["stated"], entry["stated_stderr"], unit), f"{key}.stated"),
-                "fitted": citations.cite(quantity_text(entry["found"], entry["stderr"], unit), f"{key}.found"),
-                "shift": citations.cite(shift, f"{key}.stated_errors"),
-                "is_contradicted": entry["contradicts"],
-            }
-        )
-    count = sum(row["is_contradicted"] for row in rows)
-    return {"rows": rows, "hint": f"{count} of {len(rows)} contradicted" if count else "no contradiction"}
+    rows = verdict["sheet"]
+    count = sum(entry["contradicts"] for entry in rows)
+    hint = f"{count} of {len(rows)} contradicted" if count else "no contradiction"
+    return {"rows": rows, "hint": hint} if rows else None

@@ -16,10 +16,8 @@ import xarray as xr
 
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
-from spotcheck.discrepancy.words import over_noise_text
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.io import store
-from spotcheck.io.number_text import number_text
 from spotcheck.report.dataset_page.frame_packing import Layer, block_means, choose_block, choose_step, pack_layers
 from spotcheck.report.dataset_page.frame_remarks import (
     compute_median_factors,
@@ -234,13 +232,11 @@ def _tabulate_frame(frame_data: Mapping[str, Any], remarks: str, number: int, ma
     over_noise, rms = frame_data["over_noise"], frame_data["rms"]
     # A frame that the extended model does not cover shows the residual of the next model.
     model = next((name for name in RANKING_MODELS if rms.get(name) is not None), None)
-    residuals = {"over_noise": over_noise.get(model), "before": over_noise.get("declared"), "rms": rms.get(model)}
     return {
-        **residuals,
         "model": model,
-        "over_noise_text": over_noise_text(residuals["over_noise"]),
-        "before_text": over_noise_text(residuals["before"]),
-        "rms_text": number_text(residuals["rms"]),
+        "over_noise": over_noise.get(model),
+        "before": over_noise.get("declared"),
+        "rms": rms.get(model),
         "number": number,
         "label": frame_data["label"],
         "file": frame_data["file"],

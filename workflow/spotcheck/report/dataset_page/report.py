@@ -19,7 +19,7 @@ from spotcheck.discrepancy.words import list_text
 from spotcheck.io import store
 from spotcheck.report.dataset_page import tables
 from spotcheck.report.dataset_page.curves import draw_curves, draw_levels
-from spotcheck.report.dataset_page.evidence import tabulate_data_sheet, tabulate_evidence
+from spotcheck.report.dataset_page.evidence import compare_data_sheet, tabulate_evidence
 from spotcheck.report.dataset_page.frames import NAMES, NO_REMARK, FrameFiles, FrameSection, collect_frames
 from spotcheck.report.dataset_page.gap import adds_to_model, plot_gap
 from spotcheck.report.dataset_page.light import describe_light
@@ -103,7 +103,7 @@ def _describe_verdict(verdict: dict[str, Any] | None, citations: Citations) -> C
         "summary_numbers": number_keys(verdict),
         "gap": plot_gap(verdict),
         "evidence": tabulate_evidence(verdict, citations),
-        "sheet": tabulate_data_sheet(verdict, citations),
+        "sheet": compare_data_sheet(verdict),
     }
 
 

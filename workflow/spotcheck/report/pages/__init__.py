@@ -9,15 +9,19 @@ from typing import Any
 
 import jinja2
 
+from spotcheck.discrepancy.words import over_noise_text
 from spotcheck.io import store
+from spotcheck.io.number_text import number_text, quantity_text
 
-# Templates of this folder and of the folder `report`; they also write the Markdown of the effects.
+# Templates of this folder and of the folder `report`; they also write the Markdown of the effects. All have the
+# functions that format numbers.
 TEMPLATES = jinja2.Environment(
     loader=jinja2.FileSystemLoader([Path(__file__).parent, Path(__file__).parents[1]]),
     autoescape=True,
     trim_blocks=True,
     lstrip_blocks=True,
 )
+TEMPLATES.globals |= {"number_text": number_text, "over_noise_text": over_noise_text, "quantity_text": quantity_text}
 
 
 def write_page(path: str | Path, template: str, **content: Any) -> None:

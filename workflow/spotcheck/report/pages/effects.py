@@ -6,7 +6,7 @@ page shows such a bound as a formula.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partialmethod
 from pathlib import Path
 
@@ -64,20 +64,16 @@ def describe_bound(bound: float | Callable[[EffectScales], float]) -> str:
         return "set by the data"
 
 
-def _parameter_row(parameter: Parameter, vanishes_at: float | None) -> str:
-    """Return the Markdown table row of a parameter.
-
-    `vanishes_at` is the value at which the effect vanishes; None unless the parameter is the strength, NaN if there is
-    no such value.
-    """
-    notes = ["of the variant"] if parameter.is_variant_specific else []
-    if vanishes_at is not None and not math.isnan(vanishes_at):
-        notes.append("vanishes at " + ("∞" if math.isinf(vanishes_at) else _format_term(vanishes_at)))
+def list_remarks(effect: Effect, parameter: Parameter) -> list[str]:
+    """Return remarks on a parameter of an effect: that it belongs to the variant, and which values have no effect."""
+    remarks = ["of the variant"] if parameter.is_variant_specific else []
+    # The first parameter is the strength. NaN: the effect vanishes at no value of it.
+    if parameter is effect.parameters[0] and not math.isnan(effect.vanishes_at):
+        vanishes_at = "∞" if math.isinf(effect.vanishes_at) else _format_term(effect.vanishes_at)
+        remarks.append(f"vanishes at {vanishes_at}")
     if parameter.negligible:
-        notes.append(f"negligible if nearer than {describe_bound(parameter.negligible)}")
-    bounds = (describe_bound(bound) for bound in (parameter.low, parameter.high))
-    cells = (f"`{parameter.name}`", parameter.unit, *bounds, "; ".join(notes))
-    return "| " + " | ".join(cells) + " |"
+        remarks.append(f"negligible if nearer than {describe_bound(parameter.negligible)}")
+    return remarks
 
 
 def _describe_stages(effect: Effect) -> str:
@@ -98,8 +94,8 @@ def _describe_stages(effect: Effect) -> str:
     return f"Stage: {'; '.join(texts)}."
 
 
-def describe_effect(effect: Effect) -> str:
-    """Return the Markdown section of one effect: its sentence, stages, parameters and variants."""
+def describe_effect(effect: Effect) -> list[str]:
+    """Return sentences on an effect: its stages, what it needs and replaces, its special cases, variants, reference."""
     notes = [_describe_stages(effect)]
     if effect.needs:
         notes.append(f"Detectable only with: {', '.join(need.value for need in effect.needs)}.")
@@ -118,14 +114,7 @@ def describe_effect(effect: Effect) -> str:
         notes.append(f"Variants: {', '.join(texts)}.")
     if effect.reference:
         notes.append(f"Reference: {effect.reference}.")
-    strength, *others = effect.parameters
-    rows = [_parameter_row(strength, effect.vanishes_at), *(_parameter_row(parameter, None) for parameter in others)]
-    link = f"[{effect.name}](../spotcheck/model/effects/{effect.name}.py)"
-    title = link if effect.name in built_in() else effect.name
-    sentence = f"{effect.sentence[0].upper()}{effect.sentence[1:]}."
-    text_lines = [f"## {effect.number}. {title}", "", sentence, "", "  \n".join(notes), ""]
-    table_lines = ["| parameter | unit | lowest | highest | |", "|---|---|---|---|---|", *rows, ""]
-    return "\n".join(text_lines + table_lines)
+    return notes
 
 
 def _special_case(name: str) -> str:
@@ -133,22 +122,17 @@ def _special_case(name: str) -> str:
     return name if name in vocabulary() else f"every law of the {name}"
 
 
-def _tabulate_stages(effects: Sequence[Effect]) -> str:
-    """Return the Markdown table of stages: arguments and result of their functions, and the effects that act there."""
-    rows = []
-    for stage in Stage:
-        names = ", ".join(effect.name for effect in effects if stage in effect.stages)
-        arguments = ", ".join(f"`{argument}`" for argument in stage.value.arguments.split(", "))
-        rows.append(f"| {stage.title} | {arguments} | {stage.value.returns} | {names or '–'} |")
-    head = "| stage, in the order of the chain | a function gets | and returns | effects |"
-    return "\n".join([head, "|---|---|---|---|", *rows, ""])
-
-
 def render_effects(effects: Iterable[Effect]) -> str:
     """Return the page of effects in Markdown, ordered by their numbers."""
-    ordered = sorted(effects, key=lambda effect: effect.number)
-    sections = [describe_effect(effect) for effect in ordered]
-    return TEMPLATES.get_template("effects.md").render(stages=_tabulate_stages(ordered), sections=sections)
+    content = {
+        "effects": sorted(effects, key=lambda effect: effect.number),
+        "stages": list(Stage),
+        "library": built_in(),
+        "describe": describe_effect,
+        "bound": describe_bound,
+        "remarks": list_remarks,
+    }
+    return TEMPLATES.get_template("effects.md").render(**content)
 
 
 def write_effects_page(path: Path) -> int:

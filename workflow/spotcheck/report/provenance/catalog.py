@@ -10,6 +10,7 @@ import difflib
 import re
 import unicodedata
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -103,14 +104,11 @@ class Catalog:
 
     def find_short_name(self, entry: CatalogEntry) -> str:
         """Return the shortest name that `find_entry` resolves to this entry without labels, or its full name."""
-        return next(name for name in (*entry.names(), entry.key) if self._is_name_of(name, entry))
-
-    def _is_name_of(self, name: str, entry: CatalogEntry) -> bool:
-        """Return whether `find_entry` resolves a name to an entry."""
-        try:
-            return self.find_entry(name, ()) is entry
-        except InputError:
-            return False
+        for name in entry.names():
+            with suppress(InputError):
+                if self.find_entry(name, ()) is entry:
+                    return name
+        return entry.key
 
 
 def _fold(name: str) -> str:
@@ -195,18 +193,13 @@ def _load_catalog(results: Path, dated_files: tuple[tuple[str, int], ...]) -> Ca
 def _add_numbers(catalog: Catalog, path: Path, name: str) -> None:
     """Add the numbers of a file to the catalogue; `name` is its path without suffix."""
     if path.name in TEXT_READERS:
-        for entry, number in _read_text_file(path):
+        # The user may have made the instrument file invalid since the results were written; these remain valid.
+        numbers: list[tuple[CatalogEntry, StoredNumber]] = []
+        with suppress(InputError):
+            numbers = list(TEXT_READERS[path.name](path))
+        for entry, number in numbers:
             catalog.stored[entry.key] = number
             catalog.add_entry(entry)
     elif "skipped" not in catalog.tables[name].attrs:
         for entry in netcdf.list_entries(name, catalog.tables[name]):
             catalog.add_entry(entry)
-
-
-def _read_text_file(path: Path) -> list[tuple[CatalogEntry, StoredNumber]]:
-    """Return entries and numbers of a text file; [] if its content is invalid."""
-    try:
-        return list(TEXT_READERS[path.name](path))
-    except InputError:
-        # The user may have made the instrument file invalid since the results were written; these remain valid.
-        return []

@@ -109,12 +109,6 @@ def read_source(results: Path, file: str, attributes: Mapping[str, Any]) -> Sour
     json_file = (results / file).parent / ".runs" / f"{Path(file).name}.json"
     record = (json.loads(json_file.read_text(encoding="utf-8")) if json_file.is_file() else {}) | dict(attributes)
     inputs, code, written = (str(record.get(name, "")) for name in ("inputs", "code_version", "written"))
-    return Source(file, rule.name, rule.command, parse_inputs(inputs), code, written)
-
-
-def parse_inputs(text: str) -> tuple[Input, ...]:
-    """Return the input files that the attribute `inputs` of a result file lists.
-
-    `text` has the name and the digest of each input: "crops.nc 10c624ef4d826b7e; fits.nc 88d1…".
-    """
-    return tuple(Input(*item.rsplit(" ", 1)) for item in text.split("; ") if item)
+    # Name and digest of each input: "crops.nc 10c624ef4d826b7e; fits.nc 88d1…".
+    listed = tuple(Input(*item.rsplit(" ", 1)) for item in inputs.split("; ") if item)
+    return Source(file, rule.name, rule.command, listed, code, written)
