@@ -223,15 +223,6 @@ def test_a_figure_that_can_no_longer_be_drawn_disappears(tiny, tmp_path):
     assert not list(tmp_path.glob("fig11.*"))
 
 
-def test_images_lie_on_the_profiles_beside_them(tiny):
-    """In the overview the centre of a pixel is at the same distance from the fitted centre in image and profile."""
-    with Results(tiny[1], tiny[0]) as results, style.house_style():
-        figure = next(entry for entry in every_figure() if entry.name == "overview").draw(results).figure
-    left, right, _, _ = figure.axes[0].images[0].get_extent()
-    x = figure.axes[3].lines[0].get_xdata()
-    np.testing.assert_allclose(np.linspace(left + 0.5, right - 0.5, len(x)), x, atol=1e-9)
-
-
 def test_points_are_mean_and_deviation_of_the_finite_values():
     values = np.array([[[1.0, 3.0, np.nan], [5.0, np.nan, np.nan]], [[2.0, 4.0, 9.0], [np.nan] * 3]])
     array = xr.DataArray(values, dims=("exposure", "angle", "repeat"))

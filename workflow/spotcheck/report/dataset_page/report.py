@@ -31,7 +31,7 @@ from spotcheck.report.pages.citations import Citations
 # SVG pictures of this size or more [byte] are embedded as PNG, so that the page opens quickly.
 LARGEST_SVG = 400_000
 # Names of the pictures that are omitted because the page shows the frames themselves (frames.js).
-FRAME_PICTURES = ("overview", "residuals", "missing-answer")
+FRAME_PICTURES = ("residuals", "missing-answer")
 # Names of netCDF files with an image for every frame, which are too large to be loaded whole.
 FRAME_RESULTS = ("crops", "simulated", "views", "extended")
 

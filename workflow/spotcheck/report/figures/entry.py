@@ -11,7 +11,6 @@ from spotcheck.report.figures.style import Drawing
 class Category(Enum):
     """Groups of figures, in the order in which the report shows them."""
 
-    GLANCE = "At a glance"
     SET_UP = "Set-up"
     CALIBRATION = "Calibration"
     IMAGES = "Images"
