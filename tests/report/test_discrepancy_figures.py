@@ -283,6 +283,8 @@ def test_pictures_are_what_the_captions_say(ghostly):
     limit = float(ghostly.ds["z_threshold"])
     count = int((np.abs(ghostly.ds["z_radial"]) > limit).sum() + (ghostly.ds["z_azimuthal"] > limit).sum())
     assert len(marks) == count > 10
+    assert sorted(ghostly.ds["part"].values) == ["blocks: row 96, column 120", "frames"]
+    store.check(ghostly.ds, "pictures")
 
 
 def test_evidence_shows_every_name_and_its_rivals(tmp_path):
