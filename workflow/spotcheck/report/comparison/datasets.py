@@ -73,9 +73,9 @@ def read_datasets(folders: Sequence[Path]) -> list[DatasetResults]:
     counts = Counter(dataset.label for dataset in datasets)
     datasets = [replace(d, label=str(d.folder)) if counts[d.label] > 1 else d for d in datasets]
     if not list_shared(datasets):
+        labels = " and ".join(dataset.label for dataset in datasets)
         raise InputError(
-            f"{' and '.join(dataset.label for dataset in datasets)} have no number in common; compare datasets of one"
-            " kind, at conditions that they share"
+            f"{labels} have no number in common; compare datasets of one kind, at conditions that they share"
         )
     return datasets
 
@@ -88,12 +88,11 @@ def list_shared(datasets: Sequence[DatasetResults]) -> list[QuantityName]:
 
 def list_unit_conflicts(datasets: Sequence[DatasetResults]) -> list[str]:
     """Return one sentence for each number that is not compared because its units differ."""
-    remarks = []
-    for name, units in _list_units(datasets).items():
-        if len(set(units.values())) > 1:
-            listed = ", ".join(f"{unit} in {label}" for label, unit in units.items())
-            remarks.append(f"{name.quantity} is not compared: it is in {listed}")
-    return remarks
+    conflicts = {name: units for name, units in _list_units(datasets).items() if len(set(units.values())) > 1}
+    return [
+        f"{name.quantity} is not compared: it is in {', '.join(f'{unit} in {label}' for label, unit in units.items())}"
+        for name, units in conflicts.items()
+    ]
 
 
 def _list_units(datasets: Sequence[DatasetResults]) -> dict[QuantityName, dict[str, str]]:

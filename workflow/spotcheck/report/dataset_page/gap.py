@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 from spotcheck.discrepancy.words import over_noise_text, percent_text
 from spotcheck.report.pages.plots import figure_json
 
-# (name, colour of page.css) of each number of the gap, by its key in verdict.json: for a verdict that adds effects to
-# the model, and for one that does not.
-FLOOR = {"noise_floor": ("noise floor", "ink")}
-WITH_EFFECTS = {"before": ("before", "simulated"), "after": ("after", "measured"), **FLOOR}
-WITHOUT_EFFECTS = {"before": ("residuals", "simulated"), **FLOOR}
+# (name, colour of page.css) of each number of the gap, by its key in verdict.json. For a verdict that adds nothing to
+# the model, there is no number after, and the one before has another name.
+LABELS = {"before": ("before", "simulated"), "after": ("after", "measured"), "noise_floor": ("noise floor", "ink")}
+LABELS_WITHOUT_ADDITION = {"before": ("residuals", "simulated"), "noise_floor": LABELS["noise_floor"]}
 
 
 class GapNumber(NamedTuple):
@@ -48,7 +47,7 @@ def plot_gap(verdict: dict[str, Any]) -> Gap | None:
     if gap["before"] is None:
         return None
     has_additions = adds_to_model(verdict)
-    labels = WITH_EFFECTS if has_additions else WITHOUT_EFFECTS
+    labels = LABELS if has_additions else LABELS_WITHOUT_ADDITION
     known_labels = {key: label for key, label in labels.items() if gap[key] is not None}
     numbers = [
         GapNumber(name, colour, over_noise_text(gap[key]), f"verdict.gap.{key}")

@@ -15,7 +15,7 @@ import xarray as xr
 
 from spotcheck.characterization.sensor_choice import SOURCES
 from spotcheck.dataset.folder import Dataset
-from spotcheck.discrepancy.words import list_text
+from spotcheck.discrepancy.words import list_text, over_noise_text
 from spotcheck.io import store
 from spotcheck.report.dataset_page import tables
 from spotcheck.report.dataset_page.curves import draw_curves, draw_levels
@@ -181,7 +181,7 @@ def _build_frame_content(dataset: Dataset, results: Path, stages: Stages, verdic
 
 
 def _describe_frames(section: FrameSection) -> Content:
-    """Return the texts beside the picture at the top of the page and beside the table of frames."""
+    """Return the texts beside the picture at the top of the page and beside the table, and a function for its texts."""
     index = section.index
     first, largest = index["frames"][index["first_frame"]], section.rows[0]
     models = [NAMES[name] for name in index["first_models"]]
@@ -192,6 +192,7 @@ def _describe_frames(section: FrameSection) -> Content:
     return {
         "first_caption": f"The frame with the largest {criterion} ({first['label'] or first['file']}): {shown}",
         "ranking_model": NAMES[section.ranked_by],
+        "over_noise_text": over_noise_text,
         "has_before": "declared" in index["names"] and section.ranked_by == "extended",
         "table_hint": f"largest residual: {largest['label'] or largest['file']}; {remarks}",
     }

@@ -122,10 +122,8 @@ def _describe_significance(verdict: dict[str, Any]) -> str:
     if status == "consistent":
         return f"Noise alone causes a difference at least as large {chance}."
     if p < RARE:
-        text = (
-            f"Noise alone causes such a difference less than once in ten thousand measurements ({probability_text(p)})"
-        )
-    elif p < verdict["detection"]["alpha"]:
+        chance = f"less than once in ten thousand measurements ({probability_text(p)})"
+    if p < max(RARE, verdict["detection"]["alpha"]):
         text = f"Noise alone causes such a difference {chance}"
     else:
         # The overall test may miss what a test of one effect finds.
@@ -179,10 +177,8 @@ def _advise(verdict: dict[str, Any]) -> str:
         nearest = (
             f"most similar: {list_text(similar)}, but {contrast}" if similar else "no known effect is similar to it"
         )
-        return (
-            "The named effects need no further measurement;"
-            f" {percent_text(unexplained)} of the peak remains unexplained ({nearest})."
-        )
+        rest = f"{percent_text(unexplained)} of the peak remains unexplained ({nearest})"
+        return f"The named effects need no further measurement; {rest}."
     return {
         "ambiguous": "No measurement is known that would separate them.",
         "not_converged": "No measurement can be advised before the fits converge.",

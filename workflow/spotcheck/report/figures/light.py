@@ -63,12 +63,11 @@ def draw_shapes(results: Results) -> style.Drawing:
     upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.25, 1.0))[:, 0]
     panels = upper.subplots(1, 3, sharey=True)
     extent = (-HALF_SIDE, HALF_SIDE, HALF_SIDE, -HALF_SIDE)
-    for ax, image, norm, cmap, title in (
-        (panels[0], declared, light_norm, style.IMAGE_MAP, "declared"),
-        (panels[1], learned, light_norm, style.IMAGE_MAP, "learned"),
-        (panels[2], difference, difference_norm, style.DIVERGING_MAP, "learned − declared"),
-    ):
-        style.show_image(ax, image, cmap, norm, extent, title=title, xlabel="u / $\\sigma_g$")
+    style.show_image(panels[0], declared, style.IMAGE_MAP, light_norm, extent, title="declared")
+    style.show_image(panels[1], learned, style.IMAGE_MAP, light_norm, extent, title="learned")
+    style.show_image(panels[2], difference, style.DIVERGING_MAP, difference_norm, extent, title="learned − declared")
+    for ax in panels:
+        ax.set_xlabel("u / $\\sigma_g$")
     panels[0].set_ylabel("v / $\\sigma_g$")
     mapped = ScalarMappable(difference_norm, style.DIVERGING_MAP)
     upper.colorbar(mapped, ax=list(panels), label="% of the peak", aspect=18)

@@ -9,7 +9,6 @@ from typing import Any
 
 import jinja2
 
-from spotcheck.discrepancy.words import over_noise_text
 from spotcheck.io import store
 from spotcheck.io.number_text import number_text, quantity_text
 
@@ -21,7 +20,7 @@ TEMPLATES = jinja2.Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-TEMPLATES.globals |= {"number_text": number_text, "over_noise_text": over_noise_text, "quantity_text": quantity_text}
+TEMPLATES.globals |= {"number_text": number_text, "quantity_text": quantity_text}
 
 
 def write_page(path: str | Path, template: str, **content: Any) -> None:

@@ -105,20 +105,13 @@ def write_equation_pages(symbols: Path, tests: Path, folder: Path) -> None:
     functions = collect_citations(PACKAGE, PACKAGE.name)
     test_functions = collect_citations(tests, tests.name, "test_")
     for kind, citations in (("function", functions), ("test", test_functions)):
-        missing = [number for number in EQUATIONS if number not in citations]
-        if missing:
-            raise InputError(
-                f"docstrings: no {kind} cites Eq. {', '.join(map(str, missing))}; every equation needs a {kind} whose"
-                " docstring cites it"
-            )
+        if missing := [number for number in EQUATIONS if number not in citations]:
+            fault = f"docstrings: no {kind} cites Eq. {', '.join(map(str, missing))}"
+            raise InputError(f"{fault}; every equation needs a {kind} whose docstring cites it")
     rows = [(number, functions[number], test_functions[number]) for number in EQUATIONS]
     # Functions of the package `paper` are called by their names in data/published.yaml, which no code reads.
-    paper_names = {
-        citation.name
-        for citations in functions.values()
-        for citation in citations
-        if ".paper." in citation.where
-    }  # fmt: skip
+    all_citations = (citation for citations in functions.values() for citation in citations)
+    paper_names = {citation.name for citation in all_citations if ".paper." in citation.where}
     # The page marks functions that only tests or users call.
     used_names = find_used_names(PACKAGE) | paper_names | set(spotcheck.__all__)
     content = {"rows": rows, "used_names": used_names}
