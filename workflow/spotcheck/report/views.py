@@ -68,13 +68,6 @@ class ViewedFrames:
     baseline: Baseline  # declared light
     sensor: SensorModel  # sensor of sensor.nc
 
-    def list_sites(self, conditions: Sequence[str], has_law: bool) -> list[Site]:
-        """Return the site of each frame; `conditions` are the names of the declared ones.
-
-        Without a law over the exposure, frames of different exposures count as different sites.
-        """
-        return [site_of(row, conditions, has_law) for _, row in self.cells]
-
 
 @dataclass(frozen=True)
 class ModelledFrames:
@@ -391,7 +384,9 @@ def model_views(dataset: Dataset, viewed: ViewedFrames, model: ExtendedModel | N
     declared = fit_declared(viewed)
     extended = None
     if model is not None:
-        sites = viewed.list_sites(dataset.instrument.conditions, model.law is not None)
+        # Without a law over the exposure, frames of different exposures count as different sites.
+        has_law = model.law is not None
+        sites = [site_of(row, dataset.instrument.conditions, has_law) for _, row in viewed.cells]
         extended = fit_extended(replace(viewed, start=declared.spots), model, sites)
     for k, (index, _) in enumerate(viewed.cells):
         values: dict[str, Any] = {"declared": declared.predict_mean(viewed.frames, k)}

@@ -140,10 +140,8 @@ def _read_calibration(ds: xr.Dataset) -> NamedMeasurements:
     calibration = ds.sel({"estimator": ds.attrs["used"]})
     for name in ("p1", "p2"):
         sites = int(calibration[name].notnull().sum())
-        mean, stderr = calibration[f"{name}_mean"], calibration[f"{name}_stderr"]
-        error = f"scatter of {sites} sites"
-        number = _measure(mean, stderr, str(mean.attrs["units"]), error, f"{name}_mean", sites - 1)
-        yield QuantityName(LAW, name), number
+        mean, stderr, error = calibration[f"{name}_mean"], calibration[f"{name}_stderr"], f"scatter of {sites} sites"
+        yield QuantityName(LAW, name), _measure(mean, stderr, mean.attrs["units"], error, f"{name}_mean", sites - 1)
 
 
 def _read_sensor(ds: xr.Dataset) -> NamedMeasurements:
@@ -163,9 +161,9 @@ def _read_transfer(ds: xr.Dataset) -> NamedMeasurements:
     """Yield the quantities of EMVA 1288 in transfer.nc, which are from flats and darks."""
     for quantity in read_quantities(ds).values():
         _, _, meaning = photon_transfer.QUANTITIES[quantity.name]
+        number = quantity.value, quantity.stderr, quantity.unit
         name = QuantityName(EMVA, f"{meaning}, {quantity.symbol}")
-        source = f"value: {quantity.name}"
-        yield name, _measure(quantity.value, quantity.stderr, quantity.unit, "fit to the levels", source)
+        yield name, _measure(*number, "fit to the levels", f"value: {quantity.name}")
 
 
 def _read_caustic(ds: xr.Dataset) -> NamedMeasurements:
@@ -250,9 +248,8 @@ def _read_verdict(verdict: dict[str, Any]) -> NamedMeasurements:
     for key, shift in verdict["baseline_shift"].items() if effects else ():
         name = QuantityName(VERDICT, f"{key} beside {effects}")
         yield name, _measure(shift["after"], shift["stderr"], shift["unit"], error, "baseline_shift")
-    unexplained = verdict["unexplained"]
-    name = QuantityName(VERDICT, "unexplained part of the peak")
-    yield name, _measure(unexplained["size"], unexplained["error"], "1", "noise", "unexplained")
+    size, stderr = (verdict["unexplained"][key] for key in ("size", "error"))
+    yield QuantityName(VERDICT, "unexplained part of the peak"), _measure(size, stderr, "1", "noise", "unexplained")
     if light := verdict["light"]:
         name = QuantityName(VERDICT, "light that is not where it is declared, as a part of all")
         yield name, _measure(light["power"], light["stderr"], "1", error, "light")

@@ -140,7 +140,9 @@ def _draw_panel(ax: Axes, panel: Panel, norm: Normalize, half_side: float) -> No
     `half_side` is half the side of the shown part [px].
     """
     row, column = np.mean([(spot.row, spot.column) for spot in panel.spots], axis=0)
-    extent = style.centred_extent(panel.residual.shape, row, column)
+    rows, columns = panel.residual.shape
+    # Edges of the image; the centres of pixels are at integers.
+    extent = (-0.5 - column, columns - 0.5 - column, rows - 0.5 - row, -0.5 - row)
     style.show_image(ax, panel.residual, style.DIVERGING_MAP, norm, extent)
     variances, directions = np.linalg.eigh(np.mean([spot.covariance for spot in panel.spots], axis=0))
     angle = np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))

@@ -169,10 +169,9 @@ def draw_evidence(results: Results) -> style.Drawing:
         if candidate.gap_closed is not None:
             right.barh(height, 100 * float(np.clip(candidate.gap_closed, 0, 1)), height=0.6, color=candidate.colour)
     left.axvline(MIN_GAIN, **THRESHOLD)
-    left.set(xscale="log", xlim=(1.0, None), xlabel="gain in −2 ln L")
-    right.set(xlim=(0, 100), xlabel="gap closed / %")
     left.set_yticks(y, [candidate.name for candidate in candidates], fontsize=8)
-    left.set_ylim(y.min() - 0.7, 0.7)
+    left.set(xscale="log", xlim=(1.0, None), ylim=(y.min() - 0.7, 0.7), xlabel="gain in −2 ln L")
+    right.set(xlim=(0, 100), xlabel="gap closed / %")
     for ax in (left, right):
         ax.grid(False, axis="y")
         ax.tick_params(axis="y", length=0)

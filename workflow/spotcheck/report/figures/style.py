@@ -111,14 +111,6 @@ def show_image(
     return artist
 
 
-def centred_extent(shape: tuple[int, ...], row: float, column: float) -> Extent:
-    """Return left, right, bottom and top edge [px] of an image of shape (rows, columns), relative to a centre.
-
-    `row` and `column` are the centre in coordinates in which the centres of pixels are integers.
-    """
-    return -0.5 - column, shape[1] - 0.5 - column, shape[0] - 0.5 - row, -0.5 - row
-
-
 def line_styles(count: int) -> list[LineStyle]:
     """Return the styles of `count` ordered lines, from dark to light in equal steps of luma."""
     shades = matplotlib.colormaps["viridis"](np.linspace(*LINE_COLOURS, 200))
