@@ -53,12 +53,12 @@ def write_comparison_page(comparison: Comparison, path: Path, code: str) -> None
     # Each significant change as its row and the index of its dataset.
     changes = [(row, k) for row in comparison.rows for k, is_changed in enumerate(row.is_changed) if is_changed]
     content: dict[str, Any] = {
+        "comparison": comparison,
         "title": f"Comparison of {list_text([dataset.label for dataset in comparison.datasets])}",
         "datasets": [_describe_dataset(comparison, k, path) for k in range(len(comparison.datasets))],
         "summary": _summarize(comparison, changes),
         "other_effects": _compare_effects(comparison.datasets),
         "false_alarms": f"{100 * FALSE_ALARM_RATE:g} %",
-        "tested": comparison.tested_changes,
         "changes": changes[:MOST_CHANGES],
         "omitted_changes": max(len(changes) - MOST_CHANGES, 0),
         "z_plot": _plot_z(comparison),
@@ -66,9 +66,6 @@ def write_comparison_page(comparison: Comparison, path: Path, code: str) -> None
         "groups": list(_tabulate_groups(comparison)),
         "quantities": _quantities_json(comparison),
         "has_trends": len(comparison.datasets) >= MIN_TREND_POINTS,
-        "tested_trends": comparison.tested_trends,
-        "along": comparison.axis.name,
-        "per": comparison.axis.unit,
         "not_compared": [*comparison.remarks, *_list_unshared(comparison)],
         "code": code,
     }
