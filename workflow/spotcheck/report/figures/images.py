@@ -31,7 +31,7 @@ SOURCE_TEXTS = {
 }
 
 
-def half_side(pair: FramePair) -> int:
+def _half_side(pair: FramePair) -> int:
     """Return half the side [px] of the part of the crop around both spots; it fits into the crop."""
     width = max(pair.measured.spot.major, pair.simulated.spot.major)
     return int(min(max(np.ceil(ENLARGED_WIDTHS * width), MIN_HALF_SIDE), min(pair.measured.image.shape) // 2 - 1))
@@ -49,7 +49,7 @@ def draw_frame(results: Results, source: str) -> style.Drawing:
         raise Unavailable("the extended model has no frame with a fitted spot in this condition")
     image, spot = frame
     images = np.array([shown.image for shown in (pair.measured, pair.simulated, pair.extended) if shown])
-    norm, half = Normalize(float(np.nanmin(images)), float(np.nanmax(images))), half_side(pair)
+    norm, half = Normalize(float(np.nanmin(images)), float(np.nanmax(images))), _half_side(pair)
     is_enlarged = half < MAX_ENLARGED_FRACTION * min(image.shape) / 2
     figure = style.new_figure(3.0 if is_enlarged else 4.2)
     panels = list(figure.subplots(1, 2)) if is_enlarged else [figure.add_subplot()]
@@ -73,7 +73,7 @@ def draw_frame(results: Results, source: str) -> style.Drawing:
 def draw_superposition(results: Results) -> style.Drawing:
     """Draw Fig. 8c: contours of measured and simulated frames, and profiles through their fitted centres."""
     pair = find_pair(results)
-    half = half_side(pair)
+    half = _half_side(pair)
     figure = style.new_figure(3.4)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.05, 1.0))
     overlay = figure.add_subplot(grid[:, 0])
