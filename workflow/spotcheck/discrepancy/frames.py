@@ -7,7 +7,7 @@ one grain share its noise, so that sums over pixels scatter more than those of i
 the ratio of these variances, 1 without granular light.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ import xarray as xr
 from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.conditions import held_out_repeats
 from spotcheck.dataset.folder import Dataset
-from spotcheck.dataset.manifest import parse_number
+from spotcheck.dataset.manifest import Frame, parse_number
 from spotcheck.io import store
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 
@@ -33,6 +33,10 @@ MOST_PIXELS = 2_200_000
 THINNED_PIXELS, FEWEST_LINES = 100_000, 8
 # Seed of that subset: the same at every call.
 THINNED_SEED = 20210
+
+
+# Index of a spot frame on the grid of the dataset, and its row of the manifest.
+Cell = tuple[tuple[int, ...], Frame]
 
 
 @dataclass(frozen=True)
@@ -334,8 +338,25 @@ def _row_share(selected: np.ndarray, rows: np.ndarray, weights: np.ndarray) -> n
     return shares
 
 
-def load_frames(dataset: Dataset, crops: xr.Dataset) -> FrameSet:
-    """Return the usable spot frames of a dataset in the order of acquisition.
+def usable_cells(dataset: Dataset, status: xr.DataArray) -> list[Cell]:
+    """Return the cells of the usable spot frames, in the order of the manifest.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The dataset.
+    status : xr.DataArray
+        Flags of the crops over the grid, for one way of centring them.
+    """
+    # crops.nc has all dimensions of the grid, also those without recorded values.
+    dims = [axis.name for axis in dataset.axes]
+    position = {id(frame): k for k, frame in enumerate(dataset.spots)}
+    cells = [cell for cell in dataset.cells() if is_usable(status.isel(dict(zip(dims, cell[0], strict=True))))]
+    return sorted(cells, key=lambda cell: position[id(cell[1])])
+
+
+def load_frames(dataset: Dataset, crops: xr.Dataset, cells: Sequence[Cell]) -> FrameSet:
+    """Return the spot frames of some cells of a dataset.
 
     Parameters
     ----------
@@ -343,17 +364,14 @@ def load_frames(dataset: Dataset, crops: xr.Dataset) -> FrameSet:
         Frames with their conditions.
     crops : xr.Dataset
         Content of crops.nc, of which the crops about the centroid of the light are taken.
+    cells : sequence of (index, Frame)
+        Result of `usable_cells`.
     """
-    at_light = crops.sel(centring="light")
-    dims = store.grid_dims(crops)
-    number_of = {id(frame): k for k, frame in enumerate(dataset.spots)}
-    cells = [(dict(zip(dims, index, strict=True)), frame) for index, frame in dataset.cells()]
-    cells = [(index, frame) for index, frame in cells if is_usable(at_light["status"].isel(index))]
-    cells.sort(key=lambda cell: number_of[id(cell[1])])
+    at_light, dims = crops.sel(centring="light"), store.grid_dims(crops)
+    at_cells = [at_light.isel(dict(zip(dims, index, strict=True))) for index, _ in cells]
+    images, left, top = (np.array([cell[name].values for cell in at_cells]) for name in ("image", "left", "top"))
     frames = [frame for _, frame in cells]
-    images, left, top = (
-        np.array([at_light[name].isel(index).values for index, _ in cells]) for name in ("image", "left", "top")
-    )
+    number_of = {id(frame): k for k, frame in enumerate(dataset.spots)}
     exposures = [frame.exposure_s for frame in frames]
     exposure_s = np.array([1.0 if value is None else value for value in exposures])
     angle = np.deg2rad([frame.angle_deg or 0.0 for frame in frames])

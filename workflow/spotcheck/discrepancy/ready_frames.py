@@ -16,16 +16,8 @@ from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.analysis import Setting
-from spotcheck.discrepancy.frames import FrameParameters, FrameSet, load_frames
-from spotcheck.discrepancy.starting_spots import (
-    WIDEST_SPOT,
-    Cell,
-    fit_spots,
-    has_any_trusted_fit,
-    load_spots,
-    spots_by_moments,
-    usable_cells,
-)
+from spotcheck.discrepancy.frames import Cell, FrameParameters, FrameSet, load_frames, usable_cells
+from spotcheck.discrepancy.starting_spots import WIDEST_SPOT, fit_spots, load_spots, spots_by_moments
 from spotcheck.io import store
 from spotcheck.model.baseline import build_baseline
 from spotcheck.model.forward import ForwardModel
@@ -39,7 +31,7 @@ SITE_SHIFT = 0.5
 
 @dataclass(frozen=True)
 class ReadyFrames:
-    """The frames of a dataset that are analysed, in the order of `load_frames`."""
+    """The frames of a dataset that are analysed, in the order of `usable_cells`."""
 
     frames: FrameSet  # usable frames that show the spot of their site
     cells: tuple[Cell, ...]  # index on the grid and row of the manifest of each frame
@@ -84,7 +76,7 @@ def prepare_dataset(
     if not dataset.exposures:
         # A dark current per second has no known effect without exposures.
         sensor_model = replace(sensor_model, dark_current_e_per_s=0.0)
-    frames = load_frames(dataset, crops)
+    frames = load_frames(dataset, crops, cells)
     shows_spot = find_shared_spots(frames, dataset.instrument.crop_px)
     left_out = len(frames) - int(shows_spot.sum())
     remarks = [unusable, *store.remarks_of(sensor), never_searched(frames.select(np.flatnonzero(shows_spot)))]
@@ -94,10 +86,8 @@ def prepare_dataset(
         frames = frames.select(np.flatnonzero(shows_spot))
         cells = [cell for cell, is_kept in zip(cells, shows_spot, strict=True) if is_kept]
     baseline = build_baseline(dataset.instrument, dataset.exposures)
-    spots: FrameParameters | str
-    if fits is not None and has_any_trusted_fit(fits, cells):
-        spots = load_spots(fits, frames, cells)
-    else:
+    spots: FrameParameters | str | None = None if fits is None else load_spots(fits, frames, cells)
+    if spots is None:
         # Each frame is fitted with a peak of its own, whatever law of the peak the instrument states.
         spots = fit_starting_spots(ForwardModel(replace(baseline, photon_budget="free"), sensor_model), frames)
     if isinstance(spots, str):

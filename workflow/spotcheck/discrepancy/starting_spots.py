@@ -1,7 +1,7 @@
 """Spots of single frames: starting values by fits.nc or by moments, and fits of single frames under a fixed model.
 
 The spot parameters of a frame are ln peak, ln σ, x and y, with the peak in DN, the width σ_g and the centre in px. A
-cell is a pair of an index on the grid of the dataset and the row of the manifest of a spot frame. A law makes
+law makes
 brightness and width follow the conditions of a frame, such as its exposure.
 """
 
@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
+from scipy import linalg
 
-from spotcheck.crops.cropping import is_usable
-from spotcheck.dataset.folder import Dataset
-from spotcheck.dataset.manifest import Frame
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, THREADS
-from spotcheck.discrepancy.frames import FrameParameters, FrameSet, select_pixels
+from spotcheck.discrepancy.evaluation import THREADS
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Cell, FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import is_law
 from spotcheck.discrepancy.normal_equations import invert_information
@@ -39,8 +37,6 @@ FITTED = ("amplitude", "sigma_mean", "x_centre", "y_centre")
 # D4σ, a second-moment width, in standard deviations of a Gaussian.
 D4SIGMA = 4
 
-Cell = tuple[tuple[int, ...], Frame]
-
 
 @dataclass(frozen=True)
 class FittedSpots:
@@ -53,31 +49,13 @@ class FittedSpots:
     @property
     def joint_covariance(self) -> np.ndarray:
         """Covariance of the spot parameters of frame after frame [4F, 4F]: 0 between frames."""
-        count = len(self.covariance)
-        joint = np.zeros((count, SPOT_PARAMETERS, count, SPOT_PARAMETERS))
-        joint[np.arange(count), :, np.arange(count)] = self.covariance
-        return joint.reshape(SPOT_PARAMETERS * count, SPOT_PARAMETERS * count)
+        return linalg.block_diag(*self.covariance)
 
 
-def usable_cells(dataset: Dataset, status: xr.DataArray) -> list[Cell]:
-    """Return the cells of the usable spot frames, in the order of the manifest and of `frames.load_frames`.
-
-    Parameters
-    ----------
-    dataset : Dataset
-        The dataset.
-    status : xr.DataArray
-        Flags of the crops over the grid, for one way of centring them.
-    """
-    # crops.nc has all dimensions of the grid, also those without recorded values.
-    dims = [axis.name for axis in dataset.axes]
-    position = {id(frame): k for k, frame in enumerate(dataset.spots)}
-    cells = [cell for cell in dataset.cells() if is_usable(status.isel(dict(zip(dims, cell[0], strict=True))))]
-    return sorted(cells, key=lambda cell: position[id(cell[1])])
-
-
-def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[Cell]) -> FrameParameters:
+def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[Cell]) -> FrameParameters | None:
     """Return the spots of frames by fits.nc, or by second moments for frames without a trusted fit.
+
+    None if no frame has a trusted fit.
 
     Parameters
     ----------
@@ -86,29 +64,19 @@ def load_spots(fits: xr.Dataset, frames: FrameSet, cells: Iterable[Cell]) -> Fra
     frames : FrameSet
         The frames.
     cells : iterable of (index, Frame)
-        Cell of each frame, in the order of `usable_cells`.
+        Cell of each frame, in the order of `frames.usable_cells`.
     """
-    rows = enumerate(_trusted_fits(fits, cells))
-    return _as_parameters([_spot_by_moments(frames, frame) if row is None else row for frame, row in rows], frames)
-
-
-def has_any_trusted_fit(fits: xr.Dataset, cells: Iterable[Cell]) -> bool:
-    """Return whether fits.nc has a trusted fit of any frame; parameters as in `load_spots`."""
-    return any(row is not None for row in _trusted_fits(fits, cells))
-
-
-def _trusted_fits(fits: xr.Dataset, cells: Iterable[Cell]) -> list[np.ndarray | None]:
-    """Return peak [DN], width, column and row [px] of each frame; None for frames without a trusted fit."""
     fit, dims = select_preferred_fits(fits), store.grid_dims(fits)
     status = fit["status"].transpose(*dims).values
     values = np.stack([fit[name].transpose(*dims).values.astype(float) for name in FITTED], axis=-1)
-    rows: list[np.ndarray | None] = []
-    for index, _ in cells:
+    rows, has_trusted_fit = [], False
+    for frame, (index, _) in enumerate(cells):
         row = values[index]
         # `UNTRUSTED` is the set of flags of fits that must not be used, such as those that did not converge.
         is_trusted = not status[index] & store.UNTRUSTED and row[0] > 0 and row[1] > 0 and np.isfinite(row).all()
-        rows.append(row if is_trusted else None)
-    return rows
+        rows.append(row if is_trusted else _spot_by_moments(frames, frame))
+        has_trusted_fit |= is_trusted
+    return _as_parameters(rows, frames) if has_trusted_fit else None
 
 
 def spots_by_moments(frames: FrameSet) -> FrameParameters:
