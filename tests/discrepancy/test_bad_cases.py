@@ -282,19 +282,25 @@ def written(case: Case, base: Path) -> Path:
     return out
 
 
+def run_stages(own: Path, out: Path, stages: Sequence[str]) -> None:
+    """Run subcommands on a dataset folder, as the rules call them."""
+    frames, crops, sensor, pictures, light = (str(out / f"{name}.nc") for name in
+                                              ("frames", "crops", "sensor", "discrepancy", "light"))  # fmt: skip
+    options = {
+        "ingest": ["--output", frames],
+        "crop": ["--frames", frames, "--output", crops],
+        "sensor": ["--crops", crops, "--frames", frames, "--output", sensor],
+        "judge": ["--crops", crops, "--sensor", sensor, "--pictures", pictures, "--model", str(out / "model.yaml"),
+                  "--light", light, "--output", str(out / "verdict.json")],
+    }  # fmt: skip
+    for stage in stages:
+        main([stage, str(own), *options[stage]])
+
+
 def judged(own: Path, out: Path) -> dict[str, bytes]:
     """Every file of a verdict, by its name, as the subcommands write it."""
     out.mkdir()
-    frames, crops, sensor, pictures, light = (str(out / f"{name}.nc") for name in
-                                              ("frames", "crops", "sensor", "discrepancy", "light"))  # fmt: skip
-    for command, *options in (
-        ["ingest", "--output", frames],
-        ["crop", "--frames", frames, "--output", crops],
-        ["sensor", "--crops", crops, "--frames", frames, "--output", sensor],
-        ["judge", "--crops", crops, "--sensor", sensor, "--pictures", pictures, "--model", str(out / "model.yaml"),
-         "--light", light, "--output", str(out / "verdict.json")],
-    ):  # fmt: skip
-        main([command, str(own), *options])
+    run_stages(own, out, ("ingest", "crop", "sensor", "judge"))
     return {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
 
 
@@ -321,14 +327,7 @@ def test_a_bad_case_ends_well(name, tmp_path):
 def test_light_in_dark_frames_is_in_the_report_as_well(tmp_path):
     """The black level's source says what became of the dark frames."""
     case = CASES["light in every dark frame"]()
-    own = written(case, tmp_path)
-    for command, options in {
-        "ingest": ["--output", str(tmp_path / "frames.nc")],
-        "crop": ["--frames", str(tmp_path / "frames.nc"), "--output", str(tmp_path / "crops.nc")],
-        "sensor": ["--crops", str(tmp_path / "crops.nc"), "--frames", str(tmp_path / "frames.nc"),
-                   "--output", str(tmp_path / "sensor.nc")],
-    }.items():  # fmt: skip
-        main([command, str(own), *options])
+    run_stages(written(case, tmp_path), tmp_path, ("ingest", "crop", "sensor"))
     with store.read(tmp_path / "sensor.nc") as sensor:
         level = sensor["black_level_dn"]
         assert float(level) == 0 and level.attrs["source"].startswith("default; 3 of 3 dark frames hold light (")
