@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy.analysis import find_light_field
-from spotcheck.discrepancy.candidates import list_starts, measure_field_shares, project_changes
+from spotcheck.discrepancy.candidates import list_starts, measure_field_shares, project_starts
 from spotcheck.discrepancy.field_noise import covariance_by_field
 from spotcheck.discrepancy.fields import FieldEstimate
 from spotcheck.discrepancy.frames import LightField, select_pixels
@@ -84,9 +84,9 @@ def test_dispersion_of_an_effect_is_that_of_its_score():
         light_field = find_light_field(measure_residuals(first.model, frames), first)
         pixels = select_pixels(replace(frames, light_field=light_field), first.model.spots)
         fit = fit_jointly(first.model, pixels)
-        changes = project_changes(fit, starts)
+        changes = project_starts(fit, starts)
         squares[number] = changes.score**2 / changes.information
-        dispersions[number] = pixels.dispersion_of(measure_field_shares(fit, starts, changes))
+        dispersions[number] = pixels.dispersion_of(measure_field_shares(fit, starts, changes.absorbed()))
     ratio = np.mean(squares / dispersions, axis=0)
     assert np.all((ratio > 0.33 / 1.5) & (ratio < 2.2 * 1.5))
     assert np.all(np.mean(squares[:, :2], axis=0) / pixels.dispersion < 0.33)

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from spotcheck.discrepancy.fine_structure import FINE_STEP, add_fine_structure
 from spotcheck.discrepancy.frames import select_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, fit_jointly
+from spotcheck.discrepancy.light_shape import FINE_STEP, add_fine_structure
 from spotcheck.discrepancy.shape_grid import ShapeGrid
 from tests.samples.drawn_frames import DrawnFrames, draw_frames, lay_out
 from tests.samples.models_of_frames import frame_set, starting_model

@@ -14,7 +14,7 @@ from spotcheck.discrepancy.learned_light import DRAWS, describe_light, draw_by_i
 from spotcheck.discrepancy.light_shape import fit_free_shape
 from spotcheck.discrepancy.normal_equations import NormalEquations, ShapePart, assemble
 from spotcheck.discrepancy.shape_grid import BlockFactor, ShapeGrid
-from spotcheck.discrepancy.spline_basis import NEIGHBOURS
+from spotcheck.discrepancy.shape_sums import NEIGHBOURS
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
 from tests.samples import drawn_frames as drawing

@@ -24,11 +24,11 @@ import numpy as np
 from spotcheck.discrepancy.candidates import changes_mean_image, list_starts, screen_candidates
 from spotcheck.discrepancy.criteria import MIN_GAIN
 from spotcheck.discrepancy.evaluation import differentiate_readings, evaluate
-from spotcheck.discrepancy.evidence import information_beside
 from spotcheck.discrepancy.findings import Advice, NamedEffect
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import LawFit, LawParameter, LawSearch, is_law, spot_conditions, value_of, with_value
+from spotcheck.discrepancy.normal_equations import information_beside
 from spotcheck.model.effect import Effect, EffectScales
 from spotcheck.model.forward import ForwardModel
 
@@ -198,7 +198,7 @@ def compare_images(name: str, rival: Effect, present: PresentFits) -> tuple[Wort
     rival_fit = fit_jointly(rival_model, thinned, tolerance=TOLERANCE, iterations=ITERATIONS)
     targets = np.arange(SPOT_PARAMETERS * rival_fit.equations.frame_count, rival_fit.equations.size)
     # Scaled from the thinned to all pixels.
-    known = information_beside(rival_fit, targets) * fit.pixels.share / thinned.share
+    known = information_beside(rival_fit.equations.information, targets) * fit.pixels.share / thinned.share
 
     def worth_of(condition: Condition) -> FrameWorth | None:
         """Return the worth of a frame of a condition; None if its readings might clip."""

@@ -18,19 +18,12 @@ from functools import partial
 
 import numpy as np
 
+from spotcheck.discrepancy import fields
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z, PARAMETER_PRICE
 from spotcheck.discrepancy.evaluation import LEAST_VARIANCE
 from spotcheck.discrepancy.evidence import add_error_of_nodes
 from spotcheck.discrepancy.field_noise import covariance_by_field
-from spotcheck.discrepancy.fields import (
-    FieldEstimate,
-    correlated_area,
-    estimate_granular_light,
-    estimate_pixel_gains,
-    estimate_white_field,
-    measure_fields,
-)
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, add_field, select_pixels
 from spotcheck.discrepancy.hot_pixels import mask_hot_pixels
@@ -49,7 +42,6 @@ from spotcheck.discrepancy.named_scatter import (
     white_noise,
 )
 from spotcheck.discrepancy.nested_models import LIGHT_SHAPE, FittedParts, ValidatedChain, build_chain, validate_chain
-from spotcheck.discrepancy.refits import Log
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
@@ -98,9 +90,8 @@ class Scatter:
     """Scatter of pixels about a fit."""
 
     dark: DarkNoise | None  # noise of dark pixels; None if there are too few
-    grains: FieldEstimate  # granular light, new at each site
-    gains: FieldEstimate  # gains of pixels
-    hot_pixels: int  # number of hot pixels
+    grains: fields.FieldEstimate  # granular light, new at each site
+    gains: fields.FieldEstimate  # gains of pixels
 
 
 @dataclass(frozen=True)
@@ -123,7 +114,7 @@ class Analysis:
 
     prepared: Prepared  # frames and the declared fit
     selected: SelectedEffects  # final fit of the mean image with its effects
-    shape: ShapeExplanation | None  # static shapes that explain the free shape; None if the fit has no free shape
+    shape: ShapeExplanation | None  # static shapes that explain the free shape; None without such
     images: ResidualImages  # residuals of the final fit
     scatter: Scatter  # scatter of pixels about the final fit
     named_scatter: tuple[NamedScatter, ...]  # random effects that were assessed, with reasons against those not named
@@ -133,9 +124,7 @@ class Analysis:
     withdrawn: tuple[str, ...] = ()  # effects that were removed, since they worsen the prediction of held-out frames
 
 
-def analyse_frames(
-    frames: FrameSet, spots: FrameParameters, setting: Setting, effects: Sequence[Effect], log: Log = lambda text: None
-) -> Analysis:
+def analyse_frames(frames: FrameSet, spots: FrameParameters, setting: Setting, effects: Sequence[Effect]) -> Analysis:
     """Search spot frames for effects that the declared model lacks.
 
     Parameters
@@ -148,36 +137,31 @@ def analyse_frames(
         Properties of the instrument.
     effects : sequence of Effect
         Effects to search for.
-    log : callable
-        Receives lines of text.
     """
     progress.begin_step("fitting the declared model", 0.0, 0.1)
     prepared = prepare_frames(frames, spots, setting)
     progress.begin_step("looking for effects", 0.1, 0.7)
     first = fit_with_clip(prepared, effects)
-    log(f"first fit: {', '.join(first.model.effect_names) or 'no effect'}, converged {first.has_converged}")
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
     update = partial(update_dispersion, frames=prepared.frames)
-    selected = select_effects(first, mean_effects, prepared.scales, log, update)
+    selected = select_effects(first, mean_effects, prepared.scales, update)
     with_field = add_white_field(prepared, first)
     if with_field is not None:
-        log("single pixels scatter: searched again with a field")
         pixels = add_field(selected.fit.pixels, with_field.frames)
-        selected_again = select_again(selected, pixels, mean_effects, prepared.scales, log, update)
+        selected_again = select_again(selected, pixels, mean_effects, prepared.scales, update)
         if penalized_deviance(selected_again.fit) < penalized_deviance(selected.fit):
             prepared, selected = with_field, selected_again
     progress.begin_step("predicting held-out frames", 0.7, 0.85)
     withdrawn: tuple[str, ...] = ()
     while True:
-        analysis = examine(prepared, selected, [e for e in effects if e.name not in withdrawn], log)
+        analysis = examine(prepared, selected, [e for e in effects if e.name not in withdrawn])
         refuted = analysis.validated.refuted() if analysis.validated else ()
-        log(f"refuted by held-out frames: {', '.join(refuted) or 'nothing'}")
         refuted_effects = tuple(name for name in refuted if name != LIGHT_SHAPE)  # A refuted shape stays in the fit.
         if not refuted_effects:
             selected = replace(selected, covariance=add_error_of_nodes(selected.covariance, selected.fit))
             return replace(analysis, selected=selected, withdrawn=withdrawn)
         withdrawn = (*withdrawn, *refuted_effects)
-        selected = withdraw_effects(selected, withdrawn, prepared.scales, log)
+        selected = withdraw_effects(selected, withdrawn, prepared.scales)
 
 
 def fit_with_clip(prepared: Prepared, effects: Sequence[Effect]) -> JointFit:
@@ -195,7 +179,7 @@ def add_white_field(prepared: Prepared, first: JointFit) -> Prepared | None:
     if prepared.frames.light_field is not None:
         return None
     images = prepared.images if first is prepared.declared else measure_residuals(first.model, prepared.frames)
-    white_field = estimate_white_field(images)
+    white_field = fields.estimate_white_field(images)
     if not white_field.variance > MIN_Z * white_field.stderr:
         return None
     variance = white_field.variance * images.spot**2
@@ -244,19 +228,19 @@ def prepare_frames(frames: FrameSet, spots: FrameParameters, setting: Setting) -
     return Prepared(searched, unseen, unseen_spots, hot_pixels, setting, declared, images, scales)
 
 
-def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Effect], log: Log) -> Analysis:
+def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Effect]) -> Analysis:
     """Measure scatter, find laws and predict held-out frames, all with the selected effects of the mean image."""
     fit, setting, scales = selected.fit, prepared.setting, prepared.scales
     mean_effects = [effect for effect in effects if changes_mean_image(effect)]
-    shape = explain_shape(fit, mean_effects, scales, log) if fit.model.grid is not None else None
+    shape = explain_shape(fit, mean_effects, scales) if fit.model.grid is not None else None
     images = prepared.images if fit is prepared.declared else measure_residuals(fit.model, prepared.frames)
-    scatter = measure_scatter(images, fit, prepared.hot_pixels)
+    scatter = measure_scatter(images, fit)
     search = None
     if setting.baseline.photon_budget != "free":
         sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
         by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else None
         search = LawSearch(measure_spots(fit, by_field), ForwardModel(setting.baseline, sensor), scales)
-    named = name_all_scatter(effects, scatter, fit, setting, scales, search)
+    named = name_all_scatter(effects, scatter, fit, prepared, search)
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:
         return analysis
@@ -310,7 +294,7 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     their information on the light. A model that contains granular light has its variance already, so that none is
     added.
     """
-    grains = estimate_granular_light(measure_fields(images))
+    grains = fields.estimate_granular_light(fields.measure_fields(images))
     if not shows_grains(grains):
         return None
     is_in_model = has_field(fit.model)
@@ -319,12 +303,12 @@ def find_light_field(images: ResidualImages, fit: JointFit) -> LightField | None
     information = np.divide(images.spot**2, total, out=np.zeros_like(variance), where=total > 0)
     share = np.divide(variance, total, out=np.zeros_like(variance), where=total > 0)
     mean_share = min(float(np.sum(share * information) / np.sum(information)), 1.0)
-    dispersion = 1 + (grains.frames * correlated_area(grains.grain_px) - 1) * mean_share
+    dispersion = 1 + (grains.frames * fields.correlated_area(grains.grain_px) - 1) * mean_share
     variance = np.zeros_like(variance) if is_in_model else variance
     return LightField(variance, dispersion, share.astype(np.float32), mean_share)
 
 
-def shows_grains(grains: FieldEstimate) -> bool:
+def shows_grains(grains: fields.FieldEstimate) -> bool:
     """Return whether granular light is significant, and nothing speaks against it."""
     return not grains.reasons and grains.variance > MIN_Z * grains.stderr
 
@@ -351,18 +335,18 @@ def fit_with_field(saturated: JointFit, frames: FrameSet) -> JointFit:
     return fit_jointly(saturated.model, pixels, tolerance=1.0, iterations=FIRST_ITERATIONS)
 
 
-def measure_scatter(images: ResidualImages, fit: JointFit, hot_pixels: int) -> Scatter:
-    """Return the scatter of pixels about a fit; `hot_pixels` is their number.
+def measure_scatter(images: ResidualImages, fit: JointFit) -> Scatter:
+    """Return the scatter of pixels about a fit.
 
     At a single site, gains of pixels cannot be distinguished from grains by the frames of other sites. If there are no
     significant grains, the field that neighbouring pixels do not share is then taken for the gains.
     """
-    covariances = measure_fields(images)
-    grains = estimate_granular_light(covariances)
+    covariances = fields.measure_fields(images)
+    grains = fields.estimate_granular_light(covariances)
     is_without_grains = images.design.sites == 1 and not grains.variance > MIN_Z * grains.stderr
-    gains = estimate_white_field(images) if is_without_grains else estimate_pixel_gains(covariances)
+    gains = fields.estimate_white_field(images) if is_without_grains else fields.estimate_pixel_gains(covariances)
     dark = measure_dark_noise(images, measure_dark_slopes(fit.model.forward))
-    return Scatter(dark, grains, gains, hot_pixels)
+    return Scatter(dark, grains, gains)
 
 
 def measure_dark_slopes(forward: ForwardModel) -> DarkSlopes:
@@ -418,17 +402,13 @@ def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: Res
 
 
 def name_all_scatter(
-    effects: Sequence[Effect],
-    scatter: Scatter,
-    fit: JointFit,
-    setting: Setting,
-    scales: EffectScales,
-    search: LawSearch | None,
+    effects: Sequence[Effect], scatter: Scatter, fit: JointFit, prepared: Prepared, search: LawSearch | None
 ) -> tuple[NamedScatter, ...]:
     """Return the random effects that explain the scatter of pixels and, with a search for laws, that of the spots.
 
     Effects that are assessed but not named are among them, with reasons.
     """
+    setting, scales = prepared.setting, prepared.scales
     # Standard deviation of the draw of each kind of random step, by its stage and scope.
     deviations: dict[tuple[Stage, Scope], Deviation] = {
         (Stage.SPECKLE_FIELD, Scope.SITE): deviation_of_field(scatter.grains),
@@ -447,4 +427,4 @@ def name_all_scatter(
             deviations[key] = deviation_of_fluctuation(components.get(name, absent))
         if jitter is not None:
             deviations[Stage.COORDINATES, Scope.FRAME] = deviation_of_fluctuation(jitter)
-    return (*read_noise, *name_scatter(effects, deviations, scatter.hot_pixels, scales))
+    return (*read_noise, *name_scatter(effects, deviations, prepared.hot_pixels, scales))

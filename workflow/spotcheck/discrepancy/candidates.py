@@ -1,4 +1,7 @@
-"""Score tests of effects: estimate how much each starting point of each effect would lower −2 ln L, without a refit.
+"""Candidates: score tests of starting points of effects, and refits with the leading ones.
+
+A score test estimates how much a starting point would lower −2 ln L, without a refit. Refits are made to thinned
+pixels, a random subset.
 
 A start is an effect with the parameter values from which a fit would begin; its first parameter is its strength. Its
 change is what it adds to the mean [DN] and variance [DN²] of the readings, a pair of arrays. A column is the pair of
@@ -6,7 +9,8 @@ their derivatives by an unknown. A `JointFit` has the fitted `model`, its `pixel
 parameters are all unknowns of this fit: the four spot parameters of each frame (ln peak, ln σ, x, y), the fitted
 parameters of sensor and effects, and the coefficients of a free shape. A free shape is a light shape whose values at
 nodes are fitted, in place of the declared shape of the instrument. A candidate is a start with its score test. Granular
-light is a random field in the light that neighbouring pixels share.
+light is a random field in the light that neighbouring pixels share. It increases the variance of a score by a factor,
+the dispersion. A drop is a decrease of −2 ln L.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,23 +19,15 @@ from enum import Enum
 
 import numpy as np
 
-from spotcheck.discrepancy.evaluation import (
-    SENSOR,
-    Column,
-    Evaluation,
-    change_of_moments,
-    differentiate_readings,
-    evaluate,
-    stages_of,
-    subtract_absorbed,
-    sum_batches,
-)
-from spotcheck.discrepancy.frames import SPOT_PARAMETERS, conditions_of
-from spotcheck.discrepancy.joint_fit import JointFit, JointModel
-from spotcheck.discrepancy.normal_equations import solve_positive
+from spotcheck.discrepancy.criteria import MIN_GAIN, PARAMETER_PRICE
+from spotcheck.discrepancy.evaluation import SENSOR, differentiate_readings, evaluate, stages_of, sum_batches
+from spotcheck.discrepancy.evidence import least_gain
+from spotcheck.discrepancy.frames import conditions_of
+from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
+from spotcheck.discrepancy.projected_changes import SEPARABLE_SHARE, Absorbed, Projection, change_by, project_changes
 from spotcheck.discrepancy.shape_grid import HALF_WIDTH
-from spotcheck.discrepancy.shape_sums import ShapeSums
 from spotcheck.discrepancy.site_draws import list_site_variants, start_draws
+from spotcheck.io import progress
 from spotcheck.model.effect import AppliedEffect, Effect, EffectScales, RandomStep
 from spotcheck.model.stage import Stage
 
@@ -41,8 +37,6 @@ SIZES, SIZES_BESIDE_SHAPE = (0.3, 30.0), (0.3, 1.0)
 # Least estimated multiple of a start's change for a clip: an effect that vanishes at an infinite strength, since it
 # limits readings to a level. The multiple is about 1 if the clip is present.
 LEAST_CLIP_SIZE = 0.15
-# Least part of a change's Fisher information that nuisance parameters must leave; below, they can mimic the change.
-SEPARABLE_SHARE = 1e-5
 # A candidate is a shape finer than the nodes of the free shape if the part of its information that nuisance parameters
 # leave exceeds the part of its change that differs between frames by this factor.
 UNRESOLVED = 5.0
@@ -50,6 +44,14 @@ UNRESOLVED = 5.0
 MOST_FIELD_SHARES = 24
 # Sampling of a change for `varying_share`: most frames; points along each axis, and the largest distance [σ].
 MOST_COMPARED, POINTS, FARTHEST = 16, 61, 7.0
+# Effort of a refit: Newton decrement of the effects at which it ends, and most iterations.
+REFIT_TOLERANCE, REFIT_ITERATIONS = 0.1, 9
+# Candidates whose score test is below this part of the best one are not refitted.
+SCORE_SHARE = 0.05
+# Most candidates that are refitted in one step of the selection, beside the declared and beside a free light shape.
+MOST_REFITS, MOST_REFITS_BESIDE_SHAPE = 6, 4
+# Most variants of one effect among them, and most starts of one variant; the best effect has all its variants refitted.
+MOST_VARIANTS, MOST_STARTS = 2, 1
 # Smallest denominator of a ratio of sums that may be 0.
 TINY = 1e-300
 # Stages that change only brightness and width of the spot of a frame, which its spot parameters absorb.
@@ -125,7 +127,7 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
     A start changes the readings. The amplitude of this change, in units of the start, has the score U and the Fisher
     information I, both after projection on the nuisance parameters. Its estimate is U/I; −2 ln L then drops by U²/I.
     """
-    changes = project_changes(fit, starts)
+    changes = project_starts(fit, starts)
     candidates = []
     rows = zip(starts, changes.score, changes.information, changes.alone, strict=True)
     for place, (start, score, information, alone) in enumerate(rows):
@@ -139,9 +141,16 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
     if fit.pixels.mean_field_share == 0 or not candidates:
         return candidates
     places = [candidate.place for candidate in candidates[:MOST_FIELD_SHARES]]
-    shares = measure_field_shares(fit, [starts[place] for place in places], changes.select(places))
+    shares = measure_field_shares(fit, [starts[place] for place in places], changes.select(places).absorbed())
     leading = [replace(c, field_share=float(share)) for c, share in zip(candidates, shares, strict=False)]
     return [*leading, *candidates[len(places) :]]
+
+
+def project_starts(fit: JointFit, starts: Sequence[AppliedEffect]) -> Projection:
+    """Project the changes by starts on the nuisance parameters of a fit, and return their score tests."""
+    return project_changes(
+        fit, lambda evaluation: (change_by(fit.model, start, evaluation) for start in starts), len(starts)
+    )
 
 
 def screen_drawn_variants(fit: JointFit, effects: Sequence[Effect], scales: EffectScales) -> list[Candidate]:
@@ -185,125 +194,21 @@ def value_is_one_sided(start: AppliedEffect) -> bool:
     return not callable(low) and low == start.effect.vanishes_at
 
 
-class ChangeSums:
-    """Fisher information between changes of the readings and the unknowns of a fit, summed over a batch of frames.
-
-    Unknowns are the four spot parameters of each frame, then the fitted parameters of sensor and effects. The
-    coefficients of a free shape are kept apart.
-
-    Parameters
-    ----------
-    fit : JointFit
-        Fit that has the unknowns.
-    evaluation : Evaluation
-        Its model at the pixels of the batch: `slopes` are derivatives of the light by the spot parameters.
-    batch : slice
-        Frames of the evaluation.
-    count : int
-        Number of changes.
-
-    Attributes
-    ----------
-    alone : array [change]
-        Information of each change on itself.
-    cross : array [unknown, change]
-        Information between each unknown and each change.
-    of_shape : array [coefficient, change]
-        Information between each coefficient of the free shape and each change; no rows without a free shape.
-    """
-
-    def __init__(self, fit: JointFit, evaluation: Evaluation, batch: slice, count: int) -> None:
-        self._evaluation, self._batch = evaluation, batch
-        self._fitted_columns = differentiate_readings(fit.model, evaluation)
-        self._shape_sums = None if fit.model.grid is None else ShapeSums(fit.model, evaluation)
-        self._spot_unknowns = SPOT_PARAMETERS * fit.equations.frame_count
-        self.alone = np.zeros(count)
-        self.cross = np.zeros((fit.equations.size, count))
-        self.of_shape = np.zeros((0 if self._shape_sums is None else self._shape_sums.nodes**2, count))
-
-    def add(self, k: int, change: Column) -> None:
-        """Set the sums of change number k, a pair of changes of mean [DN] and variance [DN²], each [frame, h, w]."""
-        evaluation, columns = self._evaluation, self._fitted_columns
-        self.alone[k] = evaluation.information_of(change, change)
-        # Σ slope × equivalent is the information between a spot parameter and the change.
-        equivalent = evaluation.light_equivalent(change)
-        batch_spots = slice(SPOT_PARAMETERS * self._batch.start, SPOT_PARAMETERS * self._batch.stop)
-        self.cross[batch_spots, k] = np.einsum("afhw,fhw->fa", evaluation.slopes, equivalent).ravel()
-        self.cross[self._spot_unknowns :, k] = [evaluation.information_of(change, column) for column in columns]
-        if self._shape_sums is not None:
-            self.of_shape[:, k] = self._shape_sums.products(equivalent[None])[:, 0]
-
-
-@dataclass(frozen=True)
-class ProjectedChanges:
-    """Score tests of the changes by starts, after projection on the nuisance parameters."""
-
-    score: np.ndarray  # derivative of ln L by the amplitude of each change, after projection [start]
-    information: np.ndarray  # Fisher information on this amplitude, after projection [start]
-    alone: np.ndarray  # Fisher information without nuisance parameters [start]
-    # Steps of the spot parameters, and of the fitted parameters of sensor and effects, that reproduce each change best
-    # [unknown, start].
-    absorbed: np.ndarray
-    # L⁻¹ times the information between the coefficients of a free shape and each change [coefficient, start]; L L' is
-    # the information of the coefficients. None without a free shape.
-    half_shape: np.ndarray | None
-
-    def select(self, starts: Sequence[int]) -> "ProjectedChanges":
-        """Return the changes of the starts at some positions."""
-        half_shape = None if self.half_shape is None else self.half_shape[:, starts]
-        by_start = (self.score[starts], self.information[starts], self.alone[starts], self.absorbed[:, starts])
-        return ProjectedChanges(*by_start, half_shape)
-
-
-def project_changes(fit: JointFit, starts: Sequence[AppliedEffect]) -> ProjectedChanges:
-    """Project the changes by starts on the nuisance parameters of a fit, and return their score tests."""
-    model, equations = fit.model, fit.equations
-
-    def sum_batch(batch: slice) -> tuple[np.ndarray, ...]:
-        """Return cross information, score, information alone and information with the shape, of one batch."""
-        evaluation = evaluate(model, fit.pixels, batch)
-        sums, score = ChangeSums(fit, evaluation, batch, len(starts)), np.zeros(len(starts))
-        for k, start in enumerate(starts):
-            change = change_by(model, start, evaluation)
-            score[k] = evaluation.score(change)
-            sums.add(k, change)
-        return sums.cross, score, sums.alone, sums.of_shape
-
-    cross, score, alone, of_shape = sum_batches(sum_batch, fit.pixels)
-    information, half_shape = alone.copy(), None
-    if equations.shape is not None:
-        # Eliminate the coefficients of the free shape; `equations` are without them already.
-        half_shape = equations.shape.factor.half_solve(of_shape)
-        cross = cross - equations.shape.multiply_transposed(half_shape)
-        score = score - half_shape.T @ equations.shape.score
-        information -= np.sum(half_shape**2, axis=0)
-    absorbed = solve_positive(equations.information, cross)
-    score, information = score - absorbed.T @ equations.gradient, information - np.sum(cross * absorbed, axis=0)
-    return ProjectedChanges(score, information, alone, absorbed, half_shape)
-
-
-def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], changes: ProjectedChanges) -> np.ndarray:
+def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], absorbed: Absorbed) -> np.ndarray:
     """Return the part of the readings' variance that is due to granular light, as a mean for each start [start].
 
-    The mean over pixels is weighted with the projected Fisher information of the start's change.
+    The mean over pixels is weighted with the projected Fisher information of the start's change; `absorbed` is what
+    nuisance parameters absorb of it.
     """
-    model, equations = fit.model, fit.equations
-    # Coefficients of the free shape that reproduce each change best, beside the other unknowns.
-    coefficients = None
-    if changes.half_shape is not None and equations.shape is not None:
-        coefficients = equations.shape.factor.back_solve(
-            changes.half_shape - equations.shape.multiply_cross(changes.absorbed)
-        )
+    model = fit.model
 
     def sum_batch(batch: slice) -> tuple[np.ndarray]:
         """Return the sums of field share × information, and of the information [2, start], of one batch."""
         evaluation = evaluate(model, fit.pixels, batch)
-        columns = differentiate_readings(model, evaluation)
-        light = [None] * len(starts) if coefficients is None else ShapeSums(model, evaluation).values(coefficients)
+        changes = (change_by(model, start, evaluation) for start in starts)
+        fitted = differentiate_readings(model, evaluation)
         sums = np.zeros((2, len(starts)))
-        for k, start in enumerate(starts):
-            change = change_by(model, start, evaluation)
-            change = subtract_absorbed(evaluation, batch, change, changes.absorbed[:, k], columns, light[k])
+        for k, change in enumerate(absorbed.subtract_from(changes, model, evaluation, batch, fitted)):
             information = evaluation.information_per_pixel(change)
             sums[:, k] = np.sum(evaluation.field_share * information), np.sum(information)
         return (sums,)
@@ -352,10 +257,94 @@ def varying_share(fit: JointFit, applied: AppliedEffect) -> float:
     return float(np.sum(weight * (change - mean) ** 2) / max(np.sum(weight * change**2), TINY))
 
 
-def change_by(model: JointModel, start: AppliedEffect, evaluation: Evaluation) -> Column:
-    """Return the change of mean [DN] and variance [DN²] of the readings if an effect is added to a model [frame, h, w].
+# Refits
 
-    The evaluation is that of the model.
+
+@dataclass(frozen=True)
+class Refit:
+    """The present model with a candidate, fitted to the thinned pixels."""
+
+    candidate: Candidate  # the effect with its start
+    model: JointModel  # the fitted model
+    value: float  # drop over the light's dispersion, scaled to all pixels, less `PARAMETER_PRICE` for each parameter
+
+    @property
+    def effect_name(self) -> str:
+        """Name of the effect."""
+        return self.candidate.start.effect.name
+
+    @property
+    def is_at_bound(self) -> bool:
+        """Whether a parameter of the effect is at its bound, where the variant acts much as another one does."""
+        return self.model.is_at_bound(self.effect_name)
+
+
+def least_drop_of(candidate: Candidate, present: JointFit) -> float:
+    """Return the least drop of an effect, over the dispersion of the light.
+
+    The least gain is a drop over the dispersion of the candidate's own score, which depends on where it changes the
+    light.
     """
-    forward = replace(model.forward, effects=(*model.forward.effects, start))
-    return change_of_moments(forward, evaluation, has_same_light=stages_of(start) <= SENSOR)
+    pixels = present.pixels
+    return least_gain(present.model) * float(pixels.dispersion_of(candidate.field_share)) / pixels.dispersion
+
+
+def price_of(candidate: Candidate) -> float:
+    """Return the price of a candidate's parameters in −2 ln L."""
+    start = candidate.start
+    return PARAMETER_PRICE * (len(start.effect.parameters_of(start.variant)) + candidate.draws)
+
+
+def refit_candidates(
+    thinned: JointFit, candidates: Sequence[Candidate], present: JointFit, scales: EffectScales
+) -> list[Refit]:
+    """Refit the leading candidates and all variants of the best effect; the best refit comes first.
+
+    Parameters
+    ----------
+    thinned, present : JointFit
+        Fits of the present model to the thinned and to all pixels; drops are scaled to the latter.
+    candidates : sequence of Candidate
+        Candidates by falling score.
+    scales : EffectScales
+        Typical sizes of the dataset, from which effects derive bounds.
+    """
+    ratio = present.pixels.count / thinned.pixels.count / present.pixels.dispersion
+    refits: list[Refit] = []
+    starts_of: dict[tuple, int] = {}  # number of refits by (effect, variant)
+    most = MOST_REFITS if thinned.model.grid is None else MOST_REFITS_BESIDE_SHAPE
+    for candidate in candidates:
+        start = candidate.start
+        variant = (start.effect.name, start.variant)
+        other_variants = len({key for key in starts_of if key[0] == start.effect.name} - {variant})
+        if candidate.score < SCORE_SHARE * candidates[0].score or len(refits) >= most:
+            break
+        if (
+            candidate.score * ratio < least_drop_of(candidate, present)
+            or starts_of.get(variant, 0) >= MOST_STARTS
+            or other_variants >= MOST_VARIANTS
+            or is_unresolved_shape(thinned, candidate)
+        ):
+            continue
+        refits.append(refit_candidate(thinned, candidate, ratio, scales))
+        starts_of[variant] = starts_of.get(variant, 0) + 1
+    if not refits:
+        return []
+    best = max(refits, key=lambda refit: refit.value).effect_name
+    for candidate in candidates:
+        variant = (candidate.start.effect.name, candidate.start.variant)
+        if variant[0] == best and variant not in starts_of and candidate.score * ratio > MIN_GAIN:
+            refits.append(refit_candidate(thinned, candidate, ratio, scales))
+            starts_of[variant] = 1
+    return sorted(refits, key=lambda refit: -refit.value)
+
+
+def refit_candidate(thinned: JointFit, candidate: Candidate, ratio: float, scales: EffectScales) -> Refit:
+    """Fit the present model with a candidate to the thinned pixels; `ratio` scales drops to all pixels."""
+    start = start_draws(thinned.model.with_effect(candidate.start, scales), thinned.pixels)
+    fit = fit_jointly(
+        start, thinned.pixels, tolerance=REFIT_TOLERANCE, iterations=REFIT_ITERATIONS, rival=thinned.deviance
+    )
+    drop = (thinned.deviance - fit.deviance) * ratio
+    progress.advance("")
+    return Refit(candidate, fit.model, drop - price_of(candidate))

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from spotcheck.discrepancy.advice import PresentFits, advise
-from spotcheck.discrepancy.analysis import Analysis, measure_scatter
+from spotcheck.discrepancy.analysis import Analysis, measure_dark_slopes
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.discrepancy.detection import deviate_test, measure_rms, measure_unexplained, test_residuals
 from spotcheck.discrepancy.findings import (
@@ -41,6 +41,7 @@ from spotcheck.discrepancy.named_scatter import NamedScatter, white_noise
 from spotcheck.discrepancy.nested_models import LIGHT_SHAPE
 from spotcheck.discrepancy.places import KnownScatter, find_places
 from spotcheck.discrepancy.residual_sums import sum_residuals
+from spotcheck.discrepancy.scatter import measure_dark_noise
 from spotcheck.discrepancy.validation import has_field
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE
 from spotcheck.io import progress
@@ -104,7 +105,7 @@ def _further_tests(analysis: Analysis) -> list[ResidualTest]:
     """
     tests = []
     prepared, setting = analysis.prepared, analysis.prepared.setting
-    dark = measure_scatter(prepared.images, prepared.declared, hot_pixels=0).dark
+    dark = measure_dark_noise(prepared.images, measure_dark_slopes(prepared.declared.model.forward))
     if dark is not None:
         stderr = setting.stderr.get("read_noise_e", 0.0)
         noise = white_noise(dark, prepared.declared.model.forward.sensor, setting.sensor, stderr)
@@ -123,7 +124,7 @@ def _learned_light(analysis: Analysis) -> LearnedLight | None:
     None if the fit has the declared shape, or if named static shapes explain the free one.
     """
     fit = analysis.selected.fit
-    if fit.model.grid is None or (analysis.shape is not None and analysis.shape.effects):
+    if fit.model.grid is None or analysis.shape is not None:
         return None
     light = describe_light(fit, analysis.prepared.setting.baseline)
     negligible = LEARNED_SHAPE.parameters[0].negligible
@@ -262,16 +263,15 @@ def _effects_of_mean(analysis: Analysis) -> Iterator[NamedEffect]:
 
 
 def _static_shapes(analysis: Analysis) -> Iterator[NamedEffect]:
-    """Yield the static shapes that together explain the free light shape; none if the fit has the declared shape."""
+    """Yield the static shapes that together explain the free light shape, if there are such."""
     shape = analysis.shape
     if shape is None:
         return
-    errors = dict(zip(shape.names, np.sqrt(np.diag(shape.covariance)), strict=True))
     for k, applied in enumerate(shape.effects):
         name, strength = applied.effect.name, applied.effect.parameters[0].name
-        stderr = errors.get((name, strength), np.nan)
+        stderr = shape.errors.get((name, strength), np.nan)
         distance = abs(applied.values[0] - applied.effect.vanishes_at)
-        effect_errors = {parameter: errors.get((name, parameter), np.nan) for parameter in applied.parameters}
+        effect_errors = {parameter: shape.errors.get((name, parameter), np.nan) for parameter in applied.parameters}
         yield NamedEffect(
             applied=applied,
             values=_values(applied, effect_errors),

@@ -14,20 +14,20 @@ h and w are the rows and columns of the pixels that a fit uses in each frame.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Pixels, conditions_of
+from spotcheck.discrepancy.frames import Pixels, conditions_of
 from spotcheck.model.conditions import FrameConditions
 from spotcheck.model.effect import AppliedEffect, RandomStep, Step
 from spotcheck.model.forward import SENSOR_STAGES, TABULATED, ForwardModel
 from spotcheck.model.light import Light
 from spotcheck.model.stage import Stage
-from spotcheck.sensor import ROUNDING_VARIANCE, ReadingDistribution, ReadingMoments
+from spotcheck.sensor import ROUNDING_VARIANCE, ReadingMoments
 
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import FreeParameter, JointModel
@@ -43,6 +43,8 @@ LEAST_SCALE = 1e-3
 # would adapt the read noise to a floor that depends on it. FLOOR_EXPONENT is n in `_moments_of`. Variances of
 # FLOOR_REACH times the floor differ from it by less than the rounding of numbers.
 LEAST_VARIANCE, FLOOR_EXPONENT, FLOOR_REACH = 0.2 * ROUNDING_VARIANCE, 12, 20.0
+# Sectors of the spot, and the radius [σ] that divides its information into two rings with about as much of it each.
+SECTORS, RINGS, RING_RADIUS = 8, 2, 1.2
 # Threads that evaluate batches.
 THREADS = min(os.cpu_count() or 1, 2)
 # Stages whose effects change readings other than through the light.
@@ -58,7 +60,6 @@ class Evaluation:
 
     conditions: FrameConditions  # of the frames
     light: Light  # light of the frames [DN]
-    distribution: ReadingDistribution  # of a reading given its light
     moments: ReadingMoments  # mean [DN] and variance [DN²] of readings, and derivatives of both by the light
     residual: np.ndarray  # reading less mean [DN]
     weight: np.ndarray  # 1/variance [1/DN²]
@@ -110,50 +111,15 @@ class Evaluation:
         return moments.mean_slope * column[0] * weight + moments.variance_slope * column[1] * weight**2 / 2
 
 
-def subtract_absorbed(
-    evaluation: Evaluation,
-    batch: slice,
-    column: Column,
-    steps: np.ndarray,
-    others: Sequence[Column],
-    shape_light: np.ndarray | None,
-) -> Column:
-    """Return a column less the part of it that other unknowns of a fit can produce.
+def divide_spot(conditions: FrameConditions) -> tuple[np.ndarray, np.ndarray]:
+    """Return sector (0 … 7, of 45° each) and ring (0 inside, 1 outside) of each pixel about the centre of its spot.
 
-    Parameters
-    ----------
-    evaluation : Evaluation
-        Model at the pixels of a batch, with the derivatives by spot parameters.
-    batch : slice
-        Frames of the evaluation.
-    column : pair of arrays [frame, h, w]
-        Derivatives of mean and variance by an unknown, or changes of them.
-    steps : array [unknown]
-        Step of each unknown that reproduces the column best: four spot parameters of each frame of the fit, then one
-        for each of `others`.
-    others : sequence of columns
-        Columns of the fitted parameters of sensor and effects.
-    shape_light : array [frame, h, w] or None
-        Light [DN] by which a free light shape reproduces the column; None without a free shape.
+    Both are [frame, h, w].
     """
-    first, last = SPOT_PARAMETERS * batch.start, SPOT_PARAMETERS * batch.stop
-    spot_steps = steps[first:last].reshape(-1, SPOT_PARAMETERS)
-    light = np.einsum("fa,afhw->fhw", spot_steps, evaluation.slopes, optimize=True)
-    light = light if shape_light is None else light + shape_light
-    moments, (mean, variance) = evaluation.moments, column
-    mean, variance = mean - moments.mean_slope * light, variance - moments.variance_slope * light
-    for step, (other_mean, other_variance) in zip(steps[len(steps) - len(others) :], others, strict=True):
-        if step:
-            mean, variance = mean - step * other_mean, variance - step * other_variance
-    return mean, variance
-
-
-def split_into_batches(pixels: Pixels) -> Iterator[slice]:
-    """Yield slices of the frames with about `BATCH_PIXELS` pixels each, at least one frame."""
-    frames, rows, columns = pixels.readings.shape
-    size = max(BATCH_PIXELS // (rows * columns), 1)
-    for start in range(0, frames, size):
-        yield slice(start, min(start + size, frames))
+    dx, dy = conditions.pixels.x - conditions.x0, conditions.pixels.y - conditions.y0
+    turn = (np.arctan2(dy, dx) + np.pi) / (2 * np.pi)
+    sector = np.minimum((turn * SECTORS).astype(int), SECTORS - 1)
+    return sector, (np.hypot(dx, dy) > RING_RADIUS * conditions.sigma_px).astype(int)
 
 
 def map_batches(function: Callable[[slice], Any], pixels: Pixels) -> list[Any]:
@@ -162,8 +128,13 @@ def map_batches(function: Callable[[slice], Any], pixels: Pixels) -> list[Any]:
 
 
 def _run_batches(function: Callable[[slice], Any], pixels: Pixels) -> Iterator[Any]:
-    """Yield the results of a function of each batch of frames, in their order; computed in threads."""
-    batches = list(split_into_batches(pixels))
+    """Yield the results of a function of each batch of frames, in their order; computed in threads.
+
+    A batch has about `BATCH_PIXELS` pixels, and at least one frame.
+    """
+    frames, rows, columns = pixels.readings.shape
+    size = max(BATCH_PIXELS // (rows * columns), 1)
+    batches = [slice(start, min(start + size, frames)) for start in range(0, frames, size)]
     if len(batches) == 1 or THREADS == 1:
         yield from map(function, batches)
         return
@@ -201,30 +172,27 @@ def evaluate(model: JointModel, pixels: Pixels, batch: slice, with_slopes: bool 
     spots, design, selected = model.spots.select(batch), model.design.select(batch), pixels.select(batch)
     conditions, forward = conditions_of(design, spots, selected), model.forward
     light = forward.light(conditions)
-    distribution, moments = _moments_of(forward, conditions, light)
+    moments = _moments_of(forward, conditions, light)
     variance = moments.variance + selected.extra_variance
     used = selected.is_used
     residual = np.where(used, selected.readings - moments.mean, 0.0)
     weight = np.where(used, 1 / variance, 0.0)
     variance_score = (residual**2 * weight - used) * weight / 2
     slopes = _spot_slopes(forward, conditions, light.spot) if with_slopes else np.zeros((0, *used.shape))
-    return Evaluation(conditions, light, distribution, moments, residual, weight, variance_score, selected.field_share,
-                      slopes)  # fmt: skip
+    return Evaluation(conditions, light, moments, residual, weight, variance_score, selected.field_share, slopes)
 
 
-def _moments_of(
-    forward: ForwardModel, conditions: FrameConditions, light: Light
-) -> tuple[ReadingDistribution, ReadingMoments]:
-    """Return the distribution of readings given their light, and their moments [frame, h, w].
+def _moments_of(forward: ForwardModel, conditions: FrameConditions, light: Light) -> ReadingMoments:
+    """Return the moments of readings given their light [frame, h, w].
 
     The variance v is kept above the floor f = `LEAST_VARIANCE` as (vⁿ + fⁿ)^(1/n): smoothly, since fits stall at a
     kink. If readings follow a parameter in whole steps only, moments are interpolated between both neighbouring whole
-    values. Otherwise −2 ln L would be a staircase in this parameter. The distribution is then that of the upper value.
+    values. Otherwise −2 ln L would be a staircase in this parameter.
     """
-    neighbours = []
-    for weight, neighbour in _rounded_neighbours(forward):
-        inputs = neighbour.sensor_input(conditions, light=light)
-        neighbours.append((weight, neighbour.moments(inputs)))
+    neighbours = [
+        (weight, neighbour.moments(neighbour.sensor_input(conditions, light=light)))
+        for weight, neighbour in _rounded_neighbours(forward)
+    ]
     moments = neighbours[0][1]
     if len(neighbours) > 1:
         (low_weight, below), (high_weight, above) = neighbours
@@ -233,11 +201,11 @@ def _moments_of(
         mixture[1] = mixture[1] + low_weight * high_weight * (above.mean - below.mean) ** 2
         moments = ReadingMoments(*mixture)
     if np.min(moments.variance) > FLOOR_REACH * LEAST_VARIANCE:
-        return inputs.distribution, moments
+        return moments
     n = FLOOR_EXPONENT
     variance = LEAST_VARIANCE * ((moments.variance / LEAST_VARIANCE) ** n + 1) ** (1 / n)
     slope = moments.variance_slope * (moments.variance / variance) ** (n - 1)
-    return inputs.distribution, moments._replace(variance=variance, variance_slope=slope)
+    return moments._replace(variance=variance, variance_slope=slope)
 
 
 def _rounded_neighbours(forward: ForwardModel) -> list[tuple[float, ForwardModel]]:
@@ -303,7 +271,7 @@ def change_of_moments(forward: ForwardModel, evaluation: Evaluation, has_same_li
     `has_same_light`: the other model has the light of the evaluation, which is then not computed again.
     """
     light = evaluation.light if has_same_light else forward.light(evaluation.conditions)
-    _, moments = _moments_of(forward, evaluation.conditions, light)
+    moments = _moments_of(forward, evaluation.conditions, light)
     return moments.mean - evaluation.moments.mean, moments.variance - evaluation.moments.variance
 
 

@@ -16,25 +16,25 @@ import numpy as np
 
 from spotcheck.discrepancy.criteria import CELL_MISFIT, CELL_SLACK, MIN_GAIN, MIN_GAIN_AT_ONE_SITE
 from spotcheck.discrepancy.evaluation import (
+    RINGS,
+    SECTORS,
     Evaluation,
     differentiate_readings,
+    divide_spot,
     evaluate,
     map_batches,
     rounded_parameter,
-    subtract_absorbed,
 )
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.normal_equations import assemble, invert_information, solve_positive
-from spotcheck.discrepancy.shape_sums import ShapeSums
+from spotcheck.discrepancy.normal_equations import assemble, information_beside, invert_information, solve_positive
+from spotcheck.discrepancy.projected_changes import Absorbed
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.sensor import ROUNDING_VARIANCE
 
 # Fewest sites for which a cluster of the covariance is a sector of a site; with fewer, it is a block of a frame with
 # sides of BLOCK_PX.
 MANY_SITES, BLOCK_PX = 8, 16
-# Sectors of the spot, and the radius [σ] that divides its information into two rings with about as much of it each.
-SECTORS, RINGS, RING_RADIUS = 8, 2, 1.2
 # Factors by which cluster labels keep the coordinates of pixels and the frames apart; sensors are smaller [px].
 ROW_FACTOR, FRAME_FACTOR, ROW_FRAME_FACTOR = 10_000, 10**8, 10**6
 # Least part of the information that a cell of the consistency test must have to count.
@@ -126,7 +126,7 @@ def estimate_covariance(fit: JointFit) -> np.ndarray:
     if count == 0:
         return np.zeros((0, 0))
     targets = np.arange(count) + SPOT_PARAMETERS * fit.equations.frame_count
-    information = information_beside(fit, targets)
+    information = information_beside(fit.equations.information, targets)
     model_based = invert_information(information)
     sandwiches = []
     for sums in sum_by_clusters(fit, targets, (label_sites, label_cells, label_rows)):
@@ -286,20 +286,18 @@ def sum_by_clusters(fit: JointFit, targets: np.ndarray, labels: Sequence[Labels]
     # The same steps of the coefficients of a free shape [coefficient, target].
     coefficients = None
     if equations.shape is not None:
-        moves = -steps
-        moves[targets, np.arange(len(targets))] = 1.0
-        coefficients = equations.shape.factor.back_solve(equations.shape.multiply_cross(moves))
+        moves = steps.copy()
+        moves[targets, np.arange(len(targets))] = -1.0
+        coefficients = equations.shape.solve_coefficients(np.zeros((1, 1)), moves)
+    absorbed = Absorbed(steps, coefficients)
 
     def sum_batch(batch: slice) -> list[tuple[np.ndarray, ...]]:
         """Return, for each division, the clusters of a batch and their three sums; see `_merge`."""
         evaluation = evaluate(model, fit.pixels, batch)
-        fitted_columns = differentiate_readings(model, evaluation)
-        is_used = evaluation.weight > 0
-        light = [None] * len(targets) if coefficients is None else ShapeSums(model, evaluation).values(coefficients)
-        terms = []
-        for k, target in enumerate(targets):
-            column = fitted_columns[target - SPOT_PARAMETERS * equations.frame_count]
-            column = subtract_absorbed(evaluation, batch, column, steps[:, k], fitted_columns, light[k])
+        fitted = differentiate_readings(model, evaluation)
+        columns = [fitted[target - SPOT_PARAMETERS * equations.frame_count] for target in targets]
+        is_used, terms = evaluation.weight > 0, []
+        for column in absorbed.subtract_from(columns, model, evaluation, batch, fitted):
             per_pixel = evaluation.information_per_pixel(column)
             terms.append((evaluation.score_per_pixel(column), per_pixel, evaluation.field_share * per_pixel))
         divisions = []
@@ -331,7 +329,7 @@ def _merge(batches: Sequence[tuple[np.ndarray, ...]]) -> ClusterSums:
 
 def label_cells(model: JointModel, evaluation: Evaluation, batch: slice) -> np.ndarray:
     """Return the cell of each pixel [frame, h, w]: sector × ring × condition."""
-    sector, ring = divide_spot(evaluation)
+    sector, ring = divide_spot(evaluation.conditions)
     condition = model.design.condition[batch][:, None, None]
     return sector + SECTORS * (ring + RINGS * condition)
 
@@ -339,7 +337,7 @@ def label_cells(model: JointModel, evaluation: Evaluation, batch: slice) -> np.n
 def label_sites(model: JointModel, evaluation: Evaluation, batch: slice) -> np.ndarray:
     """Return the cluster of each pixel [frame, h, w]: site × sector, or block of a frame if sites are few."""
     if model.design.sites >= MANY_SITES:
-        return model.design.site[batch][:, None, None] * SECTORS + divide_spot(evaluation)[0]
+        return model.design.site[batch][:, None, None] * SECTORS + divide_spot(evaluation.conditions)[0]
     pixels = evaluation.conditions.pixels
     block = (pixels.y // BLOCK_PX) * ROW_FACTOR + pixels.x // BLOCK_PX
     return (np.arange(batch.start, batch.stop)[:, None, None] * FRAME_FACTOR + block).astype(np.int64)
@@ -349,26 +347,3 @@ def label_rows(model: JointModel, evaluation: Evaluation, batch: slice) -> np.nd
     """Return the cluster of each pixel [frame, h, 1]: row of a frame."""
     frame = np.arange(batch.start, batch.stop)[:, None, None]
     return (frame * ROW_FRAME_FACTOR + evaluation.conditions.pixels.y).astype(np.int64)
-
-
-def divide_spot(evaluation: Evaluation) -> tuple[np.ndarray, np.ndarray]:
-    """Return sector (0 … 7, of 45° each) and ring (0 inside, 1 outside) of each pixel about the centre of its spot.
-
-    Both are [frame, h, w].
-    """
-    conditions = evaluation.conditions
-    dx, dy = conditions.pixels.x - conditions.x0, conditions.pixels.y - conditions.y0
-    turn = (np.arctan2(dy, dx) + np.pi) / (2 * np.pi)
-    sector = np.minimum((turn * SECTORS).astype(int), SECTORS - 1)
-    return sector, (np.hypot(dx, dy) > RING_RADIUS * conditions.sigma_px).astype(int)
-
-
-def information_beside(fit: JointFit, targets: np.ndarray) -> np.ndarray:
-    """Return the Fisher information on targets [target, target] if all other unknowns are fitted as well.
-
-    `targets` are positions among the unknowns; the information is the Schur complement.
-    """
-    matrix = fit.equations.information
-    others = np.setdiff1d(np.arange(fit.equations.size), targets)
-    cross = matrix[np.ix_(others, targets)]
-    return matrix[np.ix_(targets, targets)] - cross.T @ solve_positive(matrix[np.ix_(others, others)], cross)

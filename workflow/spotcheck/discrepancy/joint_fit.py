@@ -71,10 +71,6 @@ class FreeParameter:
     stated: float = np.nan  # value of the data sheet, the centre of a normal prior; NaN without a prior
     stated_stderr: float = np.inf  # standard error of that value; infinite without a prior
 
-    def prior_information(self) -> float:
-        """Return the Fisher information of the prior; 0 without one."""
-        return 1 / self.stated_stderr**2
-
     def prior_deviation(self, value: float) -> float:
         """Return the deviation of a value from the stated one, in standard errors of the latter; 0 without a prior."""
         return (value - self.stated) / self.stated_stderr if np.isfinite(self.stated_stderr) else 0.0

@@ -72,9 +72,7 @@ def judge_spots(dataset: Dataset, crops: xr.Dataset, sensor: xr.Dataset, fits: x
         return Judgement(Findings(reason=ready))
     with progress.track_steps("judging"):
         vocabulary = list(effects.vocabulary().values())
-        analysis = analyse_frames(
-            ready.frames, ready.spots, ready.setting, vocabulary, log=lambda text: progress.advance("")
-        )
+        analysis = analyse_frames(ready.frames, ready.spots, ready.setting, vocabulary)
         findings = conclude(analysis, vocabulary, ready.remarks)
         if findings.reason:
             return Judgement(findings)

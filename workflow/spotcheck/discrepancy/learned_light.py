@@ -250,7 +250,7 @@ def draw_by_information(fit: JointFit, rng: np.random.Generator) -> np.ndarray:
     values, vectors = np.linalg.eigh(equations.information * scale[:, None] * scale)
     roots = np.where(values > NULL_EIGENVALUE, 1 / np.sqrt(np.maximum(values, NULL_EIGENVALUE)), 0.0)
     others = scale[:, None] * (vectors @ (roots[:, None] * rng.standard_normal((len(values), DRAWS))))
-    return equations.shape.factor.back_solve(normal - equations.shape.multiply_cross(others))
+    return equations.shape.solve_coefficients(normal, others)
 
 
 def draw_by_sites(fit: JointFit, rng: np.random.Generator) -> np.ndarray:
@@ -283,7 +283,7 @@ def draw_by_sites(fit: JointFit, rng: np.random.Generator) -> np.ndarray:
     # Solve the normal equations for each site, by elimination of the coefficients (see `normal_equations`).
     half = equations.shape.factor.half_solve(shape_scores.T)
     other_changes = solve_positive(equations.information, other_scores - equations.shape.multiply_transposed(half))
-    changes = equations.shape.factor.back_solve(half - equations.shape.multiply_cross(other_changes))
+    changes = equations.shape.solve_coefficients(half, other_changes)
     changes -= changes.mean(axis=1, keepdims=True)
     sites = len(shape_scores)
     return changes @ (rng.standard_normal((sites, DRAWS)) * np.sqrt(sites / (sites - 1)))

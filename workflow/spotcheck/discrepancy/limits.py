@@ -21,7 +21,7 @@ from itertools import chain
 import numpy as np
 from scipy import stats
 
-from spotcheck.discrepancy.candidates import SEPARABLE_SHARE, changes_mean_image
+from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z, MISFIT_INFLATION, PRESENT_Z
 from spotcheck.discrepancy.evidence import LEAST_CELL_SHARE, is_negligible
 from spotcheck.discrepancy.findings import UpperLimit
@@ -30,7 +30,7 @@ from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
 from spotcheck.discrepancy.laws import LawSearch, is_law
 from spotcheck.discrepancy.named_scatter import NamedScatter
 from spotcheck.discrepancy.normal_equations import assemble
-from spotcheck.discrepancy.projected_changes import project_trials, sum_trials
+from spotcheck.discrepancy.projected_changes import SEPARABLE_SHARE, project_trials, sum_trials
 from spotcheck.discrepancy.strength_trials import (
     LARGEST_ERROR,
     Estimate,

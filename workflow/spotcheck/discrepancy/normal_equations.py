@@ -23,8 +23,7 @@ from scipy import linalg
 from spotcheck.discrepancy.evaluation import Column, Evaluation, differentiate_readings, evaluate, sum_batches
 from spotcheck.discrepancy.frames import CENTRE_X, SPOT_PARAMETERS, Pixels
 from spotcheck.discrepancy.shape_grid import BlockFactor
-from spotcheck.discrepancy.shape_sums import ShapeSums
-from spotcheck.discrepancy.spline_basis import NEIGHBOURS
+from spotcheck.discrepancy.shape_sums import NEIGHBOURS, ShapeSums
 
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import JointModel
@@ -59,6 +58,14 @@ class ShapePart:
     def multiply_transposed(self, half: np.ndarray) -> np.ndarray:
         """Return the product (L⁻¹C)' · half [n, …] for results of `BlockFactor.half_solve` [coefficient, …]."""
         return np.concatenate([self.spots_cross.T @ half, self.others_cross.T @ half])
+
+    def solve_coefficients(self, half: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Return the coefficients L⁻ᵀ(half − L⁻¹C · others) [coefficient, k].
+
+        They solve the equations with the right-hand sides L · half [coefficient, k], where the other unknowns have the
+        values `others` [n, k].
+        """
+        return self.factor.back_solve(half - self.multiply_cross(others))
 
 
 @dataclass(frozen=True)
@@ -118,11 +125,7 @@ class NormalEquations:
         total = self.promise(step)
         if free.size == 0:
             return total, 0.0
-        spots = np.arange(first)
-        cross = self.information[np.ix_(spots, free)]
-        absorbed = cross.T @ solve_positive(self.information[np.ix_(spots, spots)], cross)
-        beside_spots = self.information[np.ix_(free, free)] - absorbed
-        return total, float(step[free] @ beside_spots @ step[free])
+        return total, float(step[free] @ information_beside(self.information, free, np.arange(first)) @ step[free])
 
 
 def solve_positive(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -140,6 +143,17 @@ def solve_positive(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     except linalg.LinAlgError:
         solution = np.linalg.lstsq(scaled, rhs, rcond=NULL_SINGULAR)[0]
     return (solution.T * scale).T
+
+
+def information_beside(information: np.ndarray, targets: np.ndarray, others: np.ndarray | None = None) -> np.ndarray:
+    """Return the information on targets [target, target] if others are fitted as well: the Schur complement.
+
+    `targets` and `others` are positions in the information matrix [n, n]; None stands for all but the targets.
+    """
+    others = np.setdiff1d(np.arange(len(information)), targets) if others is None else others
+    cross = information[np.ix_(others, targets)]
+    absorbed = cross.T @ solve_positive(information[np.ix_(others, others)], cross)
+    return information[np.ix_(targets, targets)] - absorbed
 
 
 def invert_information(information: np.ndarray) -> np.ndarray:
@@ -168,8 +182,7 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
         """Return the sums over the pixels of some frames; fill their columns of `spots_cross`."""
         evaluation = evaluate(model, pixels, batch)
         columns = differentiate_readings(model, evaluation)
-        information, gradient = np.zeros((size, size)), np.zeros(size)
-        fill_equations(evaluation, columns, batch.start, information, gradient)
+        information, gradient = sum_equations(evaluation, columns, batch.start, size)
         squares = float(np.sum(evaluation.residual**2 * evaluation.weight))
         deviance = squares + float(np.sum(evaluation.log_variance))
         if model.grid is None:
@@ -223,7 +236,7 @@ def _add_priors(model: JointModel, information: np.ndarray, gradient: np.ndarray
         deviation = parameter.prior_deviation(model.value_of(parameter))
         added += share * deviation**2
         gradient[k] -= share * deviation / parameter.stated_stderr
-        information[k, k] += share * parameter.prior_information()
+        information[k, k] += share * (1 / parameter.stated_stderr**2)
     return added
 
 
@@ -244,10 +257,10 @@ def gauge_information(model: JointModel, information: np.ndarray) -> np.ndarray:
     return gauge
 
 
-def fill_equations(
-    evaluation: Evaluation, columns: Sequence[Column], first: int, information: np.ndarray, gradient: np.ndarray
-) -> None:
-    """Add the pixels of some frames to information [n, n] and gradient [n] in place, with the shape fixed.
+def sum_equations(
+    evaluation: Evaluation, columns: Sequence[Column], first: int, size: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return information [n, n] and gradient [n] by the pixels of some frames, with the shape fixed.
 
     Parameters
     ----------
@@ -257,29 +270,23 @@ def fill_equations(
         Column of each fitted parameter of sensor and effects.
     first : int
         Index of the first of these frames.
-    information, gradient : array [n, n], array [n]
-        Sums over all frames.
+    size : int
+        Number n of unknowns.
     """
+    information, gradient, offset = np.zeros((size, size)), np.zeros(size), size - len(columns)
     count = evaluation.slopes.shape[1]
     # Derivatives of the light by the spot parameters [spot parameter, frame, pixel].
     slopes = evaluation.slopes.reshape(SPOT_PARAMETERS, count, -1)
     weighted = slopes * evaluation.light_information.reshape(1, count, -1)
+    spots = slice(SPOT_PARAMETERS * first, SPOT_PARAMETERS * (first + count))
     blocks = np.einsum("afp,bfp->fab", weighted, slopes, optimize=True)
-    scores = np.einsum("afp,fp->fa", slopes, evaluation.light_score.reshape(count, -1))
-    equivalents = [evaluation.light_equivalent(column).reshape(count, -1) for column in columns]
-    offset = len(gradient) - len(columns)
-    for f in range(count):
-        rows = slice(SPOT_PARAMETERS * (first + f), SPOT_PARAMETERS * (first + f + 1))
-        information[rows, rows] += blocks[f]
-        gradient[rows] += scores[f]
-        for k, equivalent in enumerate(equivalents, offset):
-            cross = slopes[:, f] @ equivalent[f]
-            information[rows, k] += cross
-            information[k, rows] += cross
-    for k, column in enumerate(columns):
-        gradient[offset + k] += evaluation.score(column)
-        for j in range(k + 1):
-            value = evaluation.information_of(column, columns[j])
-            information[offset + k, offset + j] += value
-            if j < k:
-                information[offset + j, offset + k] += value
+    information[spots, spots] = linalg.block_diag(*blocks)
+    gradient[spots] = np.einsum("afp,fp->fa", slopes, evaluation.light_score.reshape(count, -1)).ravel()
+    for k, column in enumerate(columns, offset):
+        gradient[k] = evaluation.score(column)
+        equivalent = evaluation.light_equivalent(column).reshape(count, -1)
+        information[spots, k] = np.concatenate([slopes[:, f] @ equivalent[f] for f in range(count)])
+        information[k, spots] = information[spots, k]
+        for j, other in enumerate(columns[: k - offset + 1], offset):
+            information[k, j] = information[j, k] = evaluation.information_of(column, other)
+    return information, gradient

@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage, sparse
 
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, THREADS
+from spotcheck.discrepancy.evaluation import THREADS
 from spotcheck.discrepancy.fields import MOST_CANVAS
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS
 from spotcheck.discrepancy.residuals import ResidualImages
 
 # Side of blocks [px]; bounds of the rings about the centre [σ of the spot]; sectors of a ring; ranges of light, which

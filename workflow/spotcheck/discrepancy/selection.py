@@ -15,7 +15,15 @@ from functools import cached_property
 
 import numpy as np
 
-from spotcheck.discrepancy.candidates import list_starts, screen_candidates, screen_drawn_variants
+from spotcheck.discrepancy.candidates import (
+    Refit,
+    least_drop_of,
+    list_starts,
+    price_of,
+    refit_candidates,
+    screen_candidates,
+    screen_drawn_variants,
+)
 from spotcheck.discrepancy.criteria import EXPLAINED_SHARE, MOST_EFFECTS, PARAMETER_PRICE, SHAPE_SHARES, VARIANT_TIE
 from spotcheck.discrepancy.evidence import (
     EffectTest,
@@ -25,11 +33,15 @@ from spotcheck.discrepancy.evidence import (
     is_negligible,
     least_gain,
 )
-from spotcheck.discrepancy.fine_structure import add_fine_structure
 from spotcheck.discrepancy.frames import FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.light_shape import ShapeEvidence, fit_free_shape, measure_thinned_evidence
-from spotcheck.discrepancy.refits import Log, Refit, describe_start, least_drop_of, price_of, refit_candidates
+from spotcheck.discrepancy.light_shape import (
+    ShapeEvidence,
+    add_fine_structure,
+    fit_free_shape,
+    measure_thinned_evidence,
+)
+from spotcheck.io import progress
 from spotcheck.model.effect import Effect, EffectScales
 
 # Effort of the fit to thinned pixels beside which candidates are ranked: Newton decrement of the effects at which it
@@ -44,8 +56,6 @@ VARIANT_MARGIN, VARIANT_MARGIN_SHARE, RIVAL_SHARE = 50.0, 0.01, 0.9
 # Parts of the least gain of an effect, and of what is demanded of it beside a free shape, that its refit must reach
 # before all pixels are fitted: refits stop early.
 REFIT_GAIN_SHARE, REFIT_SHARE = 0.5, 0.8
-# Candidates of each step that the log lists.
-LOGGED_CANDIDATES = 5
 
 Update = Callable[[JointFit], JointFit]
 
@@ -93,7 +103,6 @@ def select_effects(
     declared: JointFit,
     effects: Sequence[Effect],
     scales: EffectScales,
-    log: Log = lambda text: None,
     update: Update = lambda fit: fit,
 ) -> SelectedEffects:
     """Select the effects of the mean image.
@@ -113,8 +122,6 @@ def select_effects(
     scales : EffectScales
         Typical sizes of the dataset (light, widths, exposures, noise), from which effects derive starting values,
         bounds and negligible strengths.
-    log : callable
-        Receives lines of text.
     update : callable
         Returns a fit with the dispersion of its pixels estimated anew from its residuals; called after each effect that
         is added.
@@ -125,31 +132,28 @@ def select_effects(
         The final fit to all pixels, with the tests of its effects.
     """
     evidence = measure_thinned_evidence(declared)
-    log(f"a free shape takes {evidence.drop:.0f}, {100 * evidence.rms:.2f} % of the peak")
-    path = select_forward(declared, effects, scales, log, update, evidence)
+    path = select_forward(declared, effects, scales, update, evidence)
     if path is not None:
-        selected = eliminate_backward(path, scales, log)
+        selected = eliminate_backward(path, scales)
         if selected.fit is not declared:
             evidence = measure_thinned_evidence(selected.fit)
-            log(f"a free shape takes {evidence.drop:.0f} beside them, {100 * evidence.rms:.2f} % of the peak")
         # The drop is set to 0 if the shape differs less than `SHAPE_FLOOR` from the declared one.
         if evidence.drop == 0:
             return selected
     free = fit_free_shape(declared)
     free = free if free.has_converged else fit_jointly(free.model, free.pixels)
-    path = select_forward(free, effects, scales, log, update)
+    path = select_forward(free, effects, scales, update)
     assert path is not None
     last = path[-1] if path[-1].fit.has_converged else finish_step(path[-1])
     # Structure of the light between the nodes of the free shape; the same fit if the frames show none.
     fine = add_fine_structure(last.fit)
-    log(f"structure between the nodes takes {last.fit.deviance - fine.deviance:.0f}")
     if fine is not last.fit:
         path = [finish_step(replace(last, fit=fine, gain=np.nan))]
-    return replace(eliminate_backward(path, scales, log), with_shape=free)
+    return replace(eliminate_backward(path, scales), with_shape=free)
 
 
 def select_again(
-    selected: SelectedEffects, pixels: Pixels, effects: Sequence[Effect], scales: EffectScales, log: Log, update: Update
+    selected: SelectedEffects, pixels: Pixels, effects: Sequence[Effect], scales: EffectScales, update: Update
 ) -> SelectedEffects:
     """Return the selection on pixels with another variance or dispersion.
 
@@ -157,11 +161,11 @@ def select_again(
     parameters are as in `select_effects`.
     """
     start = SelectionStep(fit_jointly(selected.fit.model, pixels), np.nan)
-    passed = eliminate_backward([start], scales, log)
-    path = select_forward(passed.fit, effects, scales, log, update)
+    passed = eliminate_backward([start], scales)
+    path = select_forward(passed.fit, effects, scales, update)
     assert path is not None
     if len(path) > 1:
-        passed = eliminate_backward(path, scales, log)
+        passed = eliminate_backward(path, scales)
     return replace(passed, with_shape=selected.with_shape)
 
 
@@ -169,7 +173,6 @@ def select_forward(
     fit: JointFit,
     effects: Sequence[Effect],
     scales: EffectScales,
-    log: Log,
     update: Update,
     shape: ShapeEvidence | None = None,
 ) -> list[SelectionStep] | None:
@@ -184,16 +187,14 @@ def select_forward(
         present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
         demand = ShapeDemand(present, added, shape)
-        best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, log, demand)
+        best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, demand)
         if not demand.is_met_by(best):
-            log(f"a free shape takes {demand.drop_of_shape:.0f}, no effect enough of it: not the declared light")
             return None
         if best is None:
             break
         # An effect whose strength differs between parts of the spot by more than it gains has a wrong formula.
         cells = compare_cells(best.fit, best.last_effect.name)
         if cells.q > max(best.gain, cells.limit(best.gain)):
-            log(f"  cells disagree about {best.last_effect.name} by more than it gains: Q {cells.q:.0f}")
             break
         path.append(replace(best, fit=update(best.fit), rivals={**path[-1].rivals, **best.rivals}))
     return path
@@ -250,7 +251,7 @@ class ShapeDemand:
 
 
 def add_best_effect(
-    present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, log: Log, demand: ShapeDemand
+    present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, demand: ShapeDemand
 ) -> SelectionStep | None:
     """Return the step with the effect that gains most, or None if none gains enough.
 
@@ -266,28 +267,22 @@ def add_best_effect(
         Thinned pixels.
     scales : EffectScales
         Typical sizes of the dataset.
-    log : callable
-        Receives lines of text.
     demand : ShapeDemand
         What the effect must give; refits far below it are not fitted to all pixels.
     """
-    # Scale of drops on the thinned pixels to drops on all pixels over the dispersion.
-    ratio = present.pixels.count / thin.count / present.pixels.dispersion
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     if demand.is_unmet():
         effects = [effect for effect in effects if not effect.acts_on_noise]
     candidates = screen_candidates(thinned, list_starts(effects, scales))
     candidates += screen_drawn_variants(thinned, effects, scales)
     candidates.sort(key=lambda candidate: -candidate.score)
-    logged = (f"{describe_start(c.start)} {c.score * ratio:.0f}" for c in candidates[:LOGGED_CANDIDATES])
-    log("screen " + ", ".join(logged))
-    refits = refit_candidates(thinned, candidates, present, scales, log)
+    refits = refit_candidates(thinned, candidates, present, scales)
     fits: dict[str, FullFit] = {}  # best fit of each effect, by name
     best = ""  # name of the best effect so far
     for refit in refits[:MOST_FULL_FITS]:
         if not may_win(refit, refits[0], best) or not is_worth_fitting(refit, present, scales, demand):
             continue
-        full = fit_all_pixels(refit, thinned, present, scales, log)
+        full = fit_all_pixels(refit, thinned, present, scales)
         if full is None:
             continue
         name = refit.effect_name
@@ -328,9 +323,7 @@ def is_worth_fitting(refit: Refit, present: JointFit, scales: EffectScales, dema
     return refit.value >= REFIT_SHARE * demand.least_drop(effect.effect)
 
 
-def fit_all_pixels(
-    refit: Refit, thinned: JointFit, present: JointFit, scales: EffectScales, log: Log
-) -> FullFit | None:
+def fit_all_pixels(refit: Refit, thinned: JointFit, present: JointFit, scales: EffectScales) -> FullFit | None:
     """Return the fit of a refit's model to all pixels; None if it fails, gains too little or has no strength.
 
     `thinned` and `present` are fits of the model without the effect, to the thinned and to all pixels.
@@ -342,7 +335,7 @@ def fit_all_pixels(
     target = present.deviance - (least_value + price_of(candidate)) * dispersion
     fit = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)
     value = (present.deviance - fit.deviance) / dispersion - price_of(candidate)
-    log(f"  {describe_start(candidate.start)}: {value:.0f} on all pixels, converged {fit.has_converged}")
+    progress.advance("")
     applied = fit.model.effect_named(refit.effect_name)
     if not fit.has_converged or value < least_value or is_negligible(applied, scales):
         return None
@@ -383,7 +376,7 @@ def transfer_refit(refit: JointModel, thinned: JointModel, present: JointModel) 
     return start.with_coefficients(present.coefficients + refit.coefficients - thinned.coefficients)
 
 
-def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log: Log) -> SelectedEffects:
+def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales) -> SelectedEffects:
     """Remove effects that fail their test, the worst first, and refit, until all pass.
 
     `path` holds the steps of the forward selection. If the last effect of a path fails, the step before it is taken. An
@@ -401,9 +394,6 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales, log:
         # The gain of the last effect is known from the fit without it, if that has converged.
         known = {names[-1]: path[-1].gain} if len(path) > 1 and path[-2].fit.has_converged else {}
         tests = {name: assess_effect(fit, name, covariance, scales, known.get(name)) for name in names}
-        for name, test in tests.items():
-            log(f"  test {name}: gain {test.gain:.0f} wald {test.wald:.0f} Q {test.heterogeneity:.0f}"
-                f" limit {test.limit:.0f} {'passes' if test.passes else 'FAILS'}")  # fmt: skip
         failed = {name: test.badness for name, test in tests.items() if not test.passes}
         if not failed:
             return SelectedEffects(fit, covariance, tests, {name: rivals[name] for name in names if name in rivals})
@@ -419,9 +409,7 @@ def finish_step(step: SelectionStep) -> SelectionStep:
     return replace(step, fit=fit_jointly(step.fit.model, step.fit.pixels))
 
 
-def withdraw_effects(
-    selected: SelectedEffects, names: Sequence[str], scales: EffectScales, log: Log
-) -> SelectedEffects:
+def withdraw_effects(selected: SelectedEffects, names: Sequence[str], scales: EffectScales) -> SelectedEffects:
     """Return the selection without the effects of some names; the remaining ones are fitted and tested anew."""
     model = selected.fit.model
     removed = [name for name in names if name in model.effect_names]
@@ -430,4 +418,4 @@ def withdraw_effects(
     for name in removed:
         model = model.without_effect(name)
     path = [SelectionStep(fit_jointly(model, selected.fit.pixels), np.nan)]
-    return replace(eliminate_backward(path, scales, log), with_shape=selected.with_shape)
+    return replace(eliminate_backward(path, scales), with_shape=selected.with_shape)

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.spline_basis import NEIGHBOURS
+from spotcheck.discrepancy.shape_sums import NEIGHBOURS
 
 # Distance of the nodes [σ]: with 0.2 σ real beams appear to have an effect (a bend q = −0.018) that they do not have.
 STEP = 0.13
@@ -37,7 +37,6 @@ class ShapeGrid:
     """Nodes of a free light shape: N × N places about the centre of the spot."""
 
     step: float = STEP  # distance of the nodes [σ]
-    stiffness: float = 1.0  # factor of the roughness penalty
 
     @property
     def nodes(self) -> int:
@@ -57,7 +56,7 @@ class ShapeGrid:
         P[k + key, k]; the last entries, for which k + key exceeds the matrix, are 0.
         """
         nodes = self.nodes
-        weight = self.stiffness / (ROUGHNESS_SD * (self.step / ROUGHNESS_STEP) ** 2) ** 2
+        weight = 1 / (ROUGHNESS_SD * (self.step / ROUGHNESS_STEP) ** 2) ** 2
         # Matrix of the sum of squared second differences along one line of nodes.
         second_differences = np.diff(np.eye(nodes), 2, axis=0)
         line = second_differences.T @ second_differences

@@ -1,22 +1,32 @@
 """Sums over the pixels of frames with the basis functions of a free light shape.
 
-The basis functions are cubic B-splines at the nodes of a `ShapeGrid`, each with a coefficient. The derivative of the
-light of a pixel by a coefficient is its basis function at the pixel, times the peak. An `Evaluation` has the derivative
+The basis functions are products of cubic B-splines along u and v at the nodes of a `ShapeGrid`, each with a
+coefficient: that of node (row j, column i) has the number j · nodes + i. The derivative of the light of a pixel by a
+coefficient is its basis function at the pixel, times the peak. At a pixel at (u, v) [σ from the centre] only the 4 × 4
+splines of the nearest nodes differ from 0. An `Evaluation` has the derivative
 of ln L by the light of each pixel (`light_score`), the Fisher information on it (`light_information`), and derivatives
 of the light by the spot parameters ln peak, ln σ, x and y (`slopes`).
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, Evaluation
-from spotcheck.discrepancy.spline_basis import NEIGHBOURS, add_information, add_products, add_values
+from spotcheck.discrepancy.evaluation import Evaluation
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS
+from spotcheck.model.light_shape import cubic_weights
+from spotcheck.sensor.codes import compiled
 
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import JointModel
+
+# Coefficients that lie more than so many rows or columns apart share no pixel.
+NEIGHBOURS = 3
+# Splines along an axis that differ from 0 at a point.
+SPLINES = NEIGHBOURS + 1
 
 
 class ShapeSums:
@@ -85,7 +95,7 @@ class ShapeSums:
     def band(self) -> np.ndarray:
         """Return the information of the coefficients as a band [diagonal, coefficient].
 
-        It is the transposed band of `spline_basis.add_information`.
+        It is the transposed band of `add_information`.
         """
         band = np.zeros((self.nodes**2, (NEIGHBOURS + 1) * (2 * NEIGHBOURS + 1)))
         u, v, factor = self.strongest
@@ -100,3 +110,76 @@ class ShapeSums:
         u, v, factor = (array.ravel() for array in self.strongest)
         add_values(self._per_step, self.nodes, u, v, factor, coefficients, changes)
         return changes.T.reshape(-1, *shape)
+
+
+# Compiled sums over points, the pixels of several frames; arrays over points are flat. `per_step` is the number of
+# nodes per σ. Points outside the grid are left out. The indices q and p count the splines along rows and columns that
+# differ from 0 at a point.
+
+
+@compiled
+def add_products(per_step, nodes, u, v, factor, values, sums):
+    """Add Σ over points of factor · basis · values to `sums` [coefficient, k].
+
+    u, v, factor [point]; values [point, k].
+    """
+    middle = (nodes - 1) / 2
+    for n in range(u.size):
+        x, y = u[n] * per_step + middle, v[n] * per_step + middle
+        if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
+            continue
+        column, row = math.floor(x), math.floor(y)
+        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
+        for k in range(values.shape[1]):
+            value = factor[n] * values[n, k]
+            for q in range(SPLINES):
+                index = (row + q - 1) * nodes + column - 1
+                for p in range(SPLINES):
+                    sums[index + p, k] += value * row_weights[q] * column_weights[p]
+
+
+@compiled
+def add_values(per_step, nodes, u, v, factor, coefficients, values):
+    """Add factor · Σ over coefficients of basis · coefficients to `values` [point, k].
+
+    u, v, factor [point]; coefficients [coefficient, k].
+    """
+    middle = (nodes - 1) / 2
+    for n in range(u.size):
+        x, y = u[n] * per_step + middle, v[n] * per_step + middle
+        if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
+            continue
+        column, row = math.floor(x), math.floor(y)
+        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
+        for q in range(SPLINES):
+            for p in range(SPLINES):
+                value = factor[n] * row_weights[q] * column_weights[p]
+                index = (row + q - 1) * nodes + column + p - 1
+                for k in range(coefficients.shape[1]):
+                    values[n, k] += value * coefficients[index, k]
+
+
+@compiled
+def add_information(per_step, nodes, u, v, weight, band):
+    """Add Σ over points of weight · basis · basis' to `band` [coefficient, (NEIGHBOURS + 1) (2 NEIGHBOURS + 1)].
+
+    u, v, weight [point]. The matrix is symmetric: for coefficient k, column dj (2 NEIGHBOURS + 1) + di + NEIGHBOURS of
+    the band holds the information with the coefficient dj rows and di columns further, dj ≥ 0.
+    """
+    middle = (nodes - 1) / 2
+    for n in range(u.size):
+        x, y = u[n] * per_step + middle, v[n] * per_step + middle
+        if weight[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
+            continue
+        column, row = math.floor(x), math.floor(y)
+        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
+        for q in range(SPLINES):
+            for p in range(SPLINES):
+                product = weight[n] * row_weights[q] * column_weights[p]
+                of_coefficient = band[(row + q - 1) * nodes + column + p - 1]
+                for dq in range(SPLINES - q):
+                    factor = product * row_weights[q + dq]
+                    for p_other in range(p if dq == 0 else 0, SPLINES):
+                        of_coefficient[dq * (2 * NEIGHBOURS + 1) + p_other - p + NEIGHBOURS] += (
+                            factor * column_weights[p_other]
+                        )

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS
-from spotcheck.discrepancy.frames import Design, FrameParameters
+from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters
 from spotcheck.discrepancy.joint_fit import JointFit
 from spotcheck.discrepancy.normal_equations import invert_information
 

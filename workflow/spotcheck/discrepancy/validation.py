@@ -17,9 +17,17 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from spotcheck.discrepancy.evaluation import SPOT_PARAMETERS, Evaluation, evaluate, map_batches
+from spotcheck.discrepancy.evaluation import Evaluation, evaluate, map_batches
 from spotcheck.discrepancy.fields import correlated_area
-from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, Pixels, select_pixels, thin_pixels
+from spotcheck.discrepancy.frames import (
+    SPOT_PARAMETERS,
+    Design,
+    FrameParameters,
+    FrameSet,
+    Pixels,
+    select_pixels,
+    thin_pixels,
+)
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import is_law, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
