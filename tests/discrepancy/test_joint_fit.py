@@ -28,7 +28,6 @@ from tests.samples.models_of_frames import (
     true_spots,
 )
 
-PLAIN_LIGHT, PLAIN_CAMERA = DrawnLight(), DrawnCamera()
 # Bound on the distance of one estimate from its truth in standard errors: two-sided 6.8e-6 for a normal estimate.
 LARGEST_Z = 4.5
 # Two angles are enough where nothing depends on the angle, and halve the time.
@@ -59,8 +58,9 @@ def move_parameter(model: JointModel, index: int, change: float) -> JointModel:
 
 
 @pytest.mark.parametrize("applied", EFFECTS_OF_MODELS.values(), ids=EFFECTS_OF_MODELS)
-def test_gradient_is_minus_half_the_derivative_of_the_deviance(applied: AppliedEffect):
-    """The score of spots, read noise and effect agrees with central differences of −2 ln L, away from the optimum."""
+def test_gradient_and_information_are_those_of_the_deviance(applied: AppliedEffect):
+    """The score of spots, read noise and effect agrees with central differences of −2 ln L, away from the optimum. The
+    Fisher information is a covariance of scores: symmetric, with positive eigenvalues."""
     light, camera = DrawnLight(ratio=1.03, direction_deg=20.0, pedestal_dn=1.0), DrawnCamera(clip_dn=600.0, bend=0.02)
     drawn = draw_frames(7, lay_out(angles_deg=FEW_ANGLES_DEG, repeats=1), light, camera)
     model = starting_model(drawn, applied)
@@ -77,16 +77,7 @@ def test_gradient_is_minus_half_the_derivative_of_the_deviance(applied: AppliedE
         # off by some 1e-4 of the score or of its standard deviation.
         tolerance = 1e-3 * (abs(numerical) + deviation[index])
         assert abs(equations.gradient[index] - numerical) < tolerance, index
-
-
-@pytest.mark.parametrize("applied", EFFECTS_OF_MODELS.values(), ids=EFFECTS_OF_MODELS)
-def test_information_is_symmetric_and_positive(applied: AppliedEffect):
-    """The Fisher information is a covariance of scores: symmetric, with positive eigenvalues."""
-    drawn = draw_frames(7, lay_out(angles_deg=FEW_ANGLES_DEG, repeats=1), PLAIN_LIGHT, DrawnCamera(clip_dn=600.0))
-    model = starting_model(drawn, applied)
-    information = assemble(model, select_pixels(frame_set(drawn), model.spots)).information
-    scale = np.sqrt(np.diag(information))
-    correlation = information / scale[:, None] / scale
+    correlation = equations.information / deviation[:, None] / deviation
     # Sums of 5e4 products in two orders differ by some 1e-14.
     np.testing.assert_allclose(correlation, correlation.T, rtol=0, atol=1e-12)
     # An eigenvalue below 1e-4 would be a parameter that the frames cannot tell from others.
@@ -139,7 +130,7 @@ def test_spots_lie_within_their_errors():
 
 def test_read_noise_is_fitted():
     """A read noise that the data sheet understates is found within its error, and the dispersion is 1."""
-    drawn = draw_frames(4, lay_out(angles_deg=FEW_ANGLES_DEG), PLAIN_LIGHT, DrawnCamera(read_noise_e=8.0))
+    drawn = draw_frames(4, lay_out(angles_deg=FEW_ANGLES_DEG), camera=DrawnCamera(read_noise_e=8.0))
     fit = fit_drawn(drawn)
     error = np.sqrt(invert_information(fit.equations.information)[-1, -1])
     assert abs(fit.model.forward.sensor.read_noise_e - 8.0) < LARGEST_Z * error
@@ -176,31 +167,25 @@ def test_distant_starts_lead_to_the_same_fit():
     assert abs(distant.deviance - fit.deviance) < 0.2
 
 
-def test_a_fit_ends_early_when_it_beats_its_rival():
-    """With a rival, a fit ends when a step promises less than 1 % of the drop below the rival, and says so."""
+@pytest.mark.parametrize(("option", "far", "near"), [("rival", 1e5, -1e6), ("target", -1e9, 1.0)])
+def test_a_fit_ends_early_when_its_result_is_decided(option: str, far: float, near: float):
+    """A fit ends, and says so, when a step promises less than 1 % of its lead over a rival, or cannot reach a target.
+
+    A rival ahead of the optimum and a target behind it change nothing.
+    """
     drawn, fit = plain_fit()
     start = starting_model(drawn)
-    rival = fit.deviance + 1e5
-    early = fit_jointly(start, fit.pixels, rival=rival)
+    early = fit_jointly(start, fit.pixels, **{option: fit.deviance + far})
     assert not early.has_converged and early.iterations < fit.iterations
-    # What a step promises is what is left to the optimum but for the curvature of ln L, here less than a factor 2.
-    assert early.deviance - fit.deviance < 0.02 * 1e5
-    # A rival that is out of reach changes nothing.
-    assert fit_jointly(start, fit.pixels, rival=fit.deviance - 1e6).has_converged
-
-
-def test_a_fit_ends_early_when_its_target_is_out_of_reach():
-    """With a target below the optimum a fit ends and says so; with one that can be reached it is the same fit."""
-    drawn, fit = plain_fit()
-    start = starting_model(drawn)
-    early = fit_jointly(start, fit.pixels, target=fit.deviance - 1e9)
-    assert not early.has_converged and early.iterations < fit.iterations
-    assert fit_jointly(start, fit.pixels, target=fit.deviance + 1.0).deviance == fit.deviance
+    if option == "rival":
+        # What a step promises is what is left to the optimum but for the curvature of ln L, here less than a factor 2.
+        assert early.deviance - fit.deviance < 0.02 * far
+    assert fit_jointly(start, fit.pixels, **{option: fit.deviance + near}).deviance == fit.deviance
 
 
 def test_parameters_stay_within_their_bounds():
     """A pedestal that frames with a lower black level would make negative stays at its bound 0, in a converged fit."""
-    drawn = draw_frames(3, lay_out(angles_deg=FEW_ANGLES_DEG), PLAIN_LIGHT, DrawnCamera(black_dn=drawing.BLACK - 0.5))
+    drawn = draw_frames(3, lay_out(angles_deg=FEW_ANGLES_DEG), camera=DrawnCamera(black_dn=drawing.BLACK - 0.5))
     fit = fit_drawn(drawn, apply_effect("dark_offset", "light", level=1.0))
     assert fit.has_converged
     assert fit.model.effect_named("dark_offset").parameters["level"] == 0.0
@@ -251,7 +236,7 @@ def test_errors_of_effects_describe_their_scatter():
 
 def test_score_test_foretells_the_gain():
     """For a weak effect the score test promises the drop of −2 ln L that a fit then finds."""
-    drawn = draw_frames(22, lay_out(), PLAIN_LIGHT, DrawnCamera(bend=0.03))
+    drawn = draw_frames(22, lay_out(), camera=DrawnCamera(bend=0.03))
     plain = fit_drawn(drawn)
     candidates = screen_candidates(plain, list_starts([vocabulary()["nonlinearity"]], SCALES))
     assert len(candidates) == 1
