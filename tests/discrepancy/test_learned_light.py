@@ -258,9 +258,3 @@ def test_attributes_of_the_file():
     attributes = summarize_shape(light)
     assert attributes["described"] == light.words and attributes["power"] == light.power
     assert attributes["orders"][4] == light.orders[4] and attributes["direction_deg"] == light.direction_deg
-
-
-def test_a_fit_without_a_free_shape_is_refused():
-    fit = fit_of(GAUSSIAN)
-    with pytest.raises(ValueError, match="no free light shape"):
-        describe_light(replace(fit, model=replace(fit.model, grid=None)))

@@ -122,16 +122,10 @@ def describe_light(fit: JointFit, declared: Baseline | None = None, seed: int = 
     LearnedLight
         Its power is corrected for noise: without a difference it scatters about 0. `orders` are 0 unless the power is
         above `CLEAR_ERRORS` standard errors. Widths and direction are those of the second moments of S.
-
-    Raises
-    ------
-    ValueError
-        If the fit has no free light shape.
     """
     baseline = fit.model.forward.baseline
     shape = baseline.learned
-    if fit.model.grid is None or shape is None:
-        raise ValueError("the fit has no free light shape")
+    assert shape is not None
     declared = replace(baseline, learned=None) if declared is None else declared
     grid = PolarGrid(int(shape.step * (len(shape.coefficients) - 1) / 2 / RING_STEP))
     gauge = fit_gauge(baseline, declared, grid, find_covered(fit, grid.u, grid.v))

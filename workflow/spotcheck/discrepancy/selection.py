@@ -187,7 +187,7 @@ def select_forward(
         present = path[-1].fit
         absent = [effect for effect in effects if effect.name not in present.model.effect_names]
         demand = ShapeDemand(present, added, shape)
-        best = add_best_effect(present, absent, thin_pixels(present.pixels), scales, demand)
+        best = add_best_effect(present, absent, scales, demand)
         if not demand.is_met_by(best):
             return None
         if best is None:
@@ -251,7 +251,7 @@ class ShapeDemand:
 
 
 def add_best_effect(
-    present: JointFit, effects: Sequence[Effect], thin: Pixels, scales: EffectScales, demand: ShapeDemand
+    present: JointFit, effects: Sequence[Effect], scales: EffectScales, demand: ShapeDemand
 ) -> SelectionStep | None:
     """Return the step with the effect that gains most, or None if none gains enough.
 
@@ -263,13 +263,12 @@ def add_best_effect(
         Fit to all pixels with the effects so far.
     effects : sequence of Effect
         Effects that it does not contain.
-    thin : Pixels
-        Thinned pixels.
     scales : EffectScales
         Typical sizes of the dataset.
     demand : ShapeDemand
         What the effect must give; refits far below it are not fitted to all pixels.
     """
+    thin = thin_pixels(present.pixels)
     thinned = fit_jointly(present.model, thin, tolerance=SCREEN_TOLERANCE, iterations=SCREEN_ITERATIONS)
     if demand.is_unmet():
         effects = [effect for effect in effects if not effect.acts_on_noise]
