@@ -6,7 +6,7 @@ beside the declared shape, which the verdict lists like an effect.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from enum import Enum
 from typing import Any
 
@@ -14,13 +14,11 @@ import numpy as np
 
 from spotcheck.discrepancy.criteria import ALPHA, CLEAR_ERRORS, TOLERANCE
 from spotcheck.discrepancy.findings import (
-    Consistency,
     Detection,
     Findings,
     Gap,
     LawShift,
     LearnedLight,
-    LevelFindings,
     NamedEffect,
     ParameterValue,
     SensorPull,
@@ -31,8 +29,8 @@ from spotcheck.discrepancy.words import limit_text, size_text
 from spotcheck.model.effects import built_in, vocabulary
 
 VERSION = 4
-# Least p-value that is written, since no probability is 0.
-LEAST_PROBABILITY = 1e-300
+# Significant digits of all numbers: more than are known of any of them, and so few that all processors agree on them.
+DIGITS = 9
 # The entry of the vocabulary for a learned light shape: the only one without a formula. It counts also if the
 # vocabulary of a run leaves it out.
 LEARNED_SHAPE = next(effect for effect in built_in().values() if not effect.stages)
@@ -74,32 +72,33 @@ def compose_verdict(
     if reason:
         findings = drop_fitted_values(findings)
     general_rows = [("all", why) for why in (reason, *findings.remarks) if why]
+    effects = ([effect_of_light(findings.light)] if findings.light else []) + list(findings.effects)
     document = {
         "schema": VERSION,
         "dataset": dataset_name,
         "status": status.value,
         "detection": describe_detection(findings.detection, findings.rms_of_peak, alpha),
-        "where": [{"words": place.words, "z": float(place.z)} for place in findings.places],
-        "effects": describe_effects(findings),
-        "light": describe_light(findings.light) if findings.light else None,
-        "sheet": [describe_pull(pull) for pull in findings.sensor],
-        "limits": [describe_limit(limit) for limit in findings.limits],
+        "where": list(map(asdict, findings.places)),
+        "effects": list(map(describe_effect, effects)),
+        "light": findings.light and describe_light(findings.light),
+        "sheet": list(map(describe_pull, findings.sensor)),
+        "limits": list(map(describe_limit, findings.limits)),
         "baseline_shift": describe_law(findings.law),
         "unexplained": describe_unexplained(findings.unexplained, tolerance),
-        "gap": describe_gap(findings.gap),
-        "metrics": [
-            {"name": metric.name, "unit": metric.unit}
-            | {key: number(getattr(metric, key)) for key in ("measured", "declared", "extended")}
-            for metric in findings.metrics
-        ],
-        "advice": [
-            {"condition": dict(advice.condition), "separates": list(advice.separates), "frames": int(advice.frames)}
-            for advice in findings.advice
-        ],
+        "gap": asdict(findings.gap) if findings.gap else dict.fromkeys(field.name for field in fields(Gap)),
+        "metrics": list(map(asdict, findings.metrics)),
+        "advice": list(map(asdict, findings.advice)),
         "not_assessed": [{"effect": name, "why": why} for name, why in (*general_rows, *findings.not_assessed)],
         "sentence": "",
     }
-    return document | ({"levels": describe_levels(findings.levels)} if findings.levels else {})
+    if levels := findings.levels:
+        document["levels"] = {
+            "number": levels.number,
+            "gain_dn_per_e": describe_gain(levels.gain),
+            "straight_line": describe_gain(levels.straight_line),
+            "light_scatter": levels.light_scatter,
+        }
+    return plain(document)
 
 
 def find_status(findings: Findings, alpha: float = ALPHA, tolerance: float = TOLERANCE) -> Status:
@@ -138,111 +137,69 @@ def drop_fitted_values(findings: Findings) -> Findings:
                    unexplained=None, gap=None, metrics=(), advice=(), levels=levels)  # fmt: skip
 
 
+# Keys of the document
+
+
 def describe_detection(detection: Detection | None, rms_of_peak: float, alpha: float) -> dict[str, Any]:
     """Return the value of the key `detection`.
 
     `detection` is None if nothing was tested. `rms_of_peak` is the rms of the mean residual [peak], NaN if unknown.
     """
     tests = detection.tests if detection else ()
-    # p-values may be 0 by underflow: then the largest z decides.
-    strongest = min(tests, key=lambda test: (test.p_value, -test.z), default=None)
-    worst = strongest and {
-        "part": strongest.name,
-        "where": strongest.where,
-        "statistic": number(strongest.statistic),
-        "p_value": probability(strongest.p_value),
-    }
+    # p-values may be equal, at the smallest one that is reported: then the largest z decides.
+    worst = min(tests, key=lambda test: (test.p_value, -test.z), default=None)
     return {
-        "p_value": probability(detection.p_value) if detection else None,
+        "p_value": detection and detection.p_value,
         "alpha": alpha,
         "parts": len(tests),
-        "worst": worst,
-        "rms_residual_percent_of_peak": number(100 * rms_of_peak),
+        "worst": worst
+        and {"part": worst.name, "where": worst.where, "statistic": worst.statistic, "p_value": worst.p_value},
+        "rms_residual_percent_of_peak": 100 * rms_of_peak,
     }
 
 
-# Effects and the light
-
-
-def describe_effects(findings: Findings) -> list[dict[str, Any]]:
-    """Return the value of the key `effects`: a learned light shape first, then the effects in their order."""
-    light_rows = [describe_shape(findings.light)] if findings.light else []
-    return light_rows + [describe_effect(effect) for effect in findings.effects]
+def effect_of_light(light: LearnedLight) -> NamedEffect:
+    """Return a learned light shape as an effect: its power, and the azimuthal order with most of it."""
+    power, order = LEARNED_SHAPE.parameters
+    highest = float(np.argmax(light.orders)) if any(light.orders) else np.nan
+    applied = LEARNED_SHAPE.apply({power.name: light.power, order.name: np.nan_to_num(highest)})
+    return NamedEffect(
+        applied=applied,
+        values={
+            power.name: ParameterValue(light.power, light.stderr, power.unit),
+            order.name: ParameterValue(highest, np.nan, order.unit),
+        },
+        gain=light.gain,
+        z=light.power / light.stderr if light.stderr > 0 else np.nan,
+        gap_closed=light.gap_closed,
+    )
 
 
 def describe_effect(effect: NamedEffect) -> dict[str, Any]:
     """Return the row of an effect in `effects`; its parameters have the order of the vocabulary, the strength first."""
+    test, rivals = effect.consistency, sorted(effect.rivals, key=effect.rivals.__getitem__)
+    weights = weigh_candidates({effect.name: 0.0, **effect.rivals})
     order = [parameter.name for parameter in effect.applied.effect.parameters]
-    names = sorted(effect.values, key=lambda name: order.index(name) if name in order else len(order))
     return {
         "name": effect.name,
-        "candidates": [effect.name, *sorted(effect.rivals, key=effect.rivals.__getitem__)],
-        "form": str(effect.applied.variant.value),
-        "parameters": {name: describe_value(effect.values[name]) for name in names},
-        "gap_closed": number(effect.gap_closed),
-        "evidence": describe_evidence(effect.name, effect.gain, effect.z, effect.consistency, effect.rivals),
-    }
-
-
-def describe_shape(light: LearnedLight) -> dict[str, Any]:
-    """Return the row of a learned light shape in `effects`: its power, and the azimuthal order with most of it."""
-    order = float(np.argmax(light.orders)) if any(light.orders) else np.nan
-    z = light.power / light.stderr if light.stderr > 0 else np.nan
-    values = ((light.power, light.stderr), (order, np.nan))
-    return {
-        "name": LEARNED_SHAPE.name,
-        "candidates": [LEARNED_SHAPE.name],
-        "form": "",
-        "parameters": {
-            parameter.name: describe_value(ParameterValue(*value, parameter.unit))
-            for parameter, value in zip(LEARNED_SHAPE.parameters, values, strict=True)
+        "candidates": [effect.name, *rivals],
+        "form": effect.applied.variant.value,
+        "parameters": {name: describe_value(effect.values[name]) for name in sorted(effect.values, key=order.index)},
+        "gap_closed": effect.gap_closed,
+        "evidence": {
+            "gain": effect.gain,
+            "z": effect.z,
+            "consistency": test
+            and {"q": test.q, "cells": test.cells, "limit": test.limit, "holds": test.is_consistent},
+            "weight": weights[effect.name],
+            "rivals": [{"name": name, "behind": effect.rivals[name], "weight": weights[name]} for name in rivals],
         },
-        "gap_closed": number(light.gap_closed),
-        "evidence": describe_evidence(LEARNED_SHAPE.name, light.gain, z, None, {}),
     }
 
 
 def describe_value(value: ParameterValue) -> dict[str, Any]:
     """Return value, standard error and unit of a parameter; directions are reduced to 0° … 360°."""
-    reported = value.value % 360 if value.unit == "deg" else value.value
-    return {"value": number(reported), "stderr": number(value.stderr), "unit": value.unit}
-
-
-def describe_evidence(
-    name: str, gain: float, z: float, consistency: Consistency | None, rivals: Mapping[str, float]
-) -> dict[str, Any]:
-    """Return the value of the key `evidence` of an effect.
-
-    Parameters
-    ----------
-    name : str
-        Name of the effect.
-    gain : float
-        Drop of −2 ln L by it; NaN if unknown.
-    z : float
-        Its strength in standard errors; NaN if unknown.
-    consistency : Consistency or None
-        Test of its strength over cells of the data; None if there is none.
-    rivals : mapping of str to float
-        By how much −2 ln L is larger with each rival in its place.
-    """
-    weights = weigh_candidates({name: 0.0, **rivals})
-    return {
-        "gain": number(gain),
-        "z": number(z),
-        "consistency": consistency
-        and {
-            "q": number(consistency.q),
-            "cells": int(consistency.cells),
-            "limit": number(consistency.limit),
-            "holds": bool(consistency.is_consistent),
-        },
-        "weight": weights[name],
-        "rivals": [
-            {"name": rival, "behind": float(rivals[rival]), "weight": weights[rival]}
-            for rival in sorted(rivals, key=rivals.__getitem__)
-        ],
-    }
+    return asdict(replace(value, value=value.value % 360) if value.unit == "deg" else value)
 
 
 def weigh_candidates(behind: Mapping[str, float]) -> dict[str, float]:
@@ -259,21 +216,9 @@ def weigh_candidates(behind: Mapping[str, float]) -> dict[str, float]:
 
 def describe_light(light: LearnedLight) -> dict[str, Any]:
     """Return the value of the key `light`: how a learned light shape differs from the declared one."""
-    return {
-        "power": number(light.power),
-        "stderr": number(light.stderr),
-        "orders": [float(share) for share in light.orders],
-        "axes": {
-            "major": number(light.major),
-            "minor": number(light.minor),
-            "direction_deg": number(light.direction_deg % 360),
-        },
-        "lowest": number(light.lowest),
-        "words": light.words,
-    }
-
-
-# Sensor, limits, residuals
+    axes = {"major": light.major, "minor": light.minor, "direction_deg": light.direction_deg % 360}
+    row = {key: getattr(light, key) for key in ("power", "stderr", "orders", "lowest", "words")}
+    return row | {"axes": axes}
 
 
 def describe_pull(pull: SensorPull) -> dict[str, Any]:
@@ -284,12 +229,12 @@ def describe_pull(pull: SensorPull) -> dict[str, Any]:
     return {
         "name": pull.name,
         "unit": pull.unit,
-        "stated": float(pull.stated),
-        "stated_stderr": float(pull.stated_stderr),
-        "found": float(pull.fitted),
-        "stderr": number(pull.stderr),
-        "stated_errors": number(pull.shift),
-        "z": number(pull.z) if pull.stderr < pull.stated_stderr else None,
+        "stated": pull.stated,
+        "stated_stderr": pull.stated_stderr,
+        "found": pull.fitted,
+        "stderr": pull.stderr,
+        "stated_errors": pull.shift,
+        "z": pull.z if pull.stderr < pull.stated_stderr else None,
         "contradicts": pull.contradicts,
     }
 
@@ -298,17 +243,9 @@ def describe_limit(limit: UpperLimit) -> dict[str, Any]:
     """Return a row of the key `limits`: the range (95 %) of the strength of an effect that is not named."""
     effect = (built_in() | dict(vocabulary())).get(limit.effect)
     low, high = (limit_text(end, limit.unit, effect) if np.isfinite(end) else "" for end in (limit.low, limit.high))
-    return {
-        "effect": limit.effect,
-        "parameter": limit.parameter,
-        "low": number(limit.low),
-        "high": number(limit.high),
-        "unit": limit.unit,
-        "words": size_text(effect, low, high) if effect else "",
-        "why": limit.reason,
-        "frames": limit.frames,
-        "more": limit.remark,
-    }
+    row = {key: getattr(limit, key) for key in ("effect", "parameter", "low", "high", "unit", "frames")}
+    words = size_text(effect, low, high) if effect else ""
+    return row | {"words": words, "why": limit.reason, "more": limit.remark}
 
 
 def describe_law(law: LawShift) -> dict[str, Any]:
@@ -317,7 +254,7 @@ def describe_law(law: LawShift) -> dict[str, Any]:
     They are the parameters of the width's law in exposure t, σ_g − laser width = p1 ln t + p2.
     """
     return {
-        name: {"before": number(before), "after": number(after), "stderr": number(stderr), "unit": "px"}
+        name: {"before": before, "after": after, "stderr": stderr, "unit": "px"}
         for name, before, after, stderr in zip(("p1", "p2"), law.before, law.after, law.stderr, strict=True)
     }
 
@@ -327,39 +264,30 @@ def describe_unexplained(unexplained: Unexplained | None, tolerance: float) -> d
 
     The error is estimated for size², so that `error` is that towards larger sizes: √(size² + error of size²) − size.
     """
-    size = error = z = share = p_value = None
+    row: dict[str, Any] = dict.fromkeys(("size", "error", "z", "share", "p_value")) | {"tolerance": tolerance}
     if unexplained is not None:
-        share, p_value = number(unexplained.share), probability(unexplained.p_value)
-        share = None if share is None else float(np.clip(share, 0.0, 1.0))
+        row |= {"share": np.clip(unexplained.share, 0.0, 1.0), "p_value": unexplained.p_value}
         if np.isfinite(unexplained.variance_error):
-            size, z = number(unexplained.size), number(unexplained.z)
-            error = number(np.sqrt(unexplained.size**2 + unexplained.variance_error) - unexplained.size)
-    return {"size": size, "error": error, "z": z, "tolerance": tolerance, "share": share, "p_value": p_value}
+            error = np.sqrt(unexplained.size**2 + unexplained.variance_error) - unexplained.size
+            row |= {"size": unexplained.size, "error": error, "z": unexplained.z}
+    return row
 
 
-def describe_gap(gap: Gap | None) -> dict[str, Any]:
-    """Return the value of the key `gap`: residuals on held-out data; all None without held-out data."""
-    keys = ("before", "after", "noise_floor", "closed", "rms_dn_before", "rms_dn_after", "gain")
-    if gap is None:
-        return dict.fromkeys((*keys, "on"))
-    return {key: number(getattr(gap, key)) for key in keys} | {"on": gap.on}
+def describe_gain(gain: ParameterValue) -> dict[str, float]:
+    """Return the value of a key of `levels` with a gain K of the sensor [DN/e-]."""
+    return {"value": gain.value, "stderr": gain.stderr}
 
 
-def describe_levels(levels: LevelFindings) -> dict[str, Any]:
-    """Return the value of the key `levels`: the gain K from levels of flats, and the scatter of their light."""
-    return {
-        "number": int(levels.number),
-        "gain_dn_per_e": {"value": float(levels.gain.value), "stderr": number(levels.gain.stderr)},
-        "straight_line": {"value": float(levels.straight_line.value), "stderr": number(levels.straight_line.stderr)},
-        "light_scatter": float(levels.light_scatter),
-    }
+def plain(value: Any) -> Any:
+    """Return a tree with lists for tuples and Python numbers for numpy's.
 
-
-def number(value: float | None) -> float | None:
-    """Return a number as a Python float; None for None, NaN and infinity."""
-    return None if value is None or not np.isfinite(value) else float(value)
-
-
-def probability(value: float) -> float | None:
-    """Return a p-value as a Python float, raised to `LEAST_PROBABILITY` if it is less; None for NaN."""
-    return number(np.clip(value, LEAST_PROBABILITY, 1.0))
+    Floats are rounded to `DIGITS` digits; None stands for NaN and infinity.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") if np.isfinite(value) else None
+    return value

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
 
@@ -19,8 +18,6 @@ from spotcheck.model.effects import vocabulary
 
 # Name of the schema of verdict.json.
 SCHEMA = "verdict"
-# Significant digits of all numbers: more than are known of any of them, and so few that all processors agree on them.
-DIGITS = 9
 # Largest deviation from 1 of the sum of the probabilities (weights) of an effect and its rivals: they are rounded.
 WEIGHT_ERROR = 1e-6
 # Statuses of verdicts that list effects, and statuses that need a reason in `not_assessed`.
@@ -50,24 +47,10 @@ def write_verdict(
         If the verdict does not follow its schema, or its parts contradict each other. This is a defect of the program,
         not of the data.
     """
-    plain = rounded(verdict)
-    if breach := breach_of_verdict(plain):
+    if breach := breach_of_verdict(verdict):
         raise store.ContractError(f"verdict.json: {breach}")
-    text = json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(verdict, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     store.write_text(path, text, code=code, inputs=inputs)
-
-
-def rounded(value: Any) -> Any:
-    """Return the same tree with lists for tuples and Python numbers for numpy's, floats rounded to `DIGITS` digits."""
-    if isinstance(value, dict):
-        return {str(key): rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [rounded(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}")
-    return value
 
 
 def breach_of_verdict(verdict: dict[str, Any]) -> str | None:
@@ -77,18 +60,7 @@ def breach_of_verdict(verdict: dict[str, Any]) -> str | None:
     error = best_match(Draft202012Validator(schema).iter_errors(verdict))
     if error is not None:
         return f"{'.'.join(str(part) for part in error.absolute_path) or 'the whole'}: {error.message}"
-    return _find_non_finite(verdict) or _find_contradiction(verdict)
-
-
-def _find_non_finite(value: Any, path: str = "") -> str | None:
-    """Return a sentence that says where a tree has its first NaN or infinity; None if it has none.
-
-    `path` is the position of `value` in the verdict, as ".key.key".
-    """
-    if isinstance(value, float) and not np.isfinite(value):
-        return f"{path.lstrip('.')}: {value} is no number; write null"
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    return next((text for key, item in items if (text := _find_non_finite(item, f"{path}.{key}"))), None)
+    return _find_contradiction(verdict)
 
 
 def _find_contradiction(verdict: dict[str, Any]) -> str | None:
