@@ -106,7 +106,7 @@ GAIN = SensorPull("gain_dn_per_e", "DN/e-", 0.11, 0.0033, 0.1321, 0.001)
 NOISE = SensorPull("read_noise_e", "e-", 12.0, 0.6, 12.7, 0.2)
 BLACK = SensorPull("black_level_dn", "DN", 12.0, 0.3, 10.8, 0.02)
 LEVELS = LevelFindings(
-    20, 200, ParameterValue(0.1234, 0.0005, "DN/e-"), ParameterValue(0.131, 0.002, "DN/e-"), light_scatter=0.004
+    20, ParameterValue(0.1234, 0.0005, "DN/e-"), ParameterValue(0.131, 0.002, "DN/e-"), light_scatter=0.004
 )
 
 DISAGREE = "Model and measurement disagree by 5.5 % of the spot's peak (rms, p < 0.0001)."

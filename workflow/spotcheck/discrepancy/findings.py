@@ -8,9 +8,10 @@ spot, or of the brightest level of flats.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
-from spotcheck.model.effect import AppliedEffect
+from spotcheck.model.effect import AppliedEffect, Effect
 from spotcheck.model.light_shape import LightShape
 
 
@@ -143,6 +144,11 @@ class UpperLimit:
     frames: int | None = None  # number of further frames, over all conditions, that halves the range; None if unknown
     remark: str = ""  # why further frames do not help; "" if they do
 
+    @classmethod
+    def of_effect(cls, effect: Effect, reason: str, *values: Any) -> "UpperLimit":
+        """Return the limit on the strength of an effect; `values` are those of the fields behind `reason`."""
+        return cls(effect.name, effect.parameters[0].name, effect.parameters[0].unit, reason, *values)
+
 
 @dataclass(frozen=True)
 class Gap:
@@ -203,7 +209,6 @@ class LevelFindings:
     """Results from levels of flats other than effects. K is the gain of the sensor."""
 
     number: int  # number of levels
-    frames: int  # number of frames of all levels
     gain: ParameterValue  # K from the fit with the named effects [DN/e-]
     straight_line: ParameterValue  # K from a straight line through the lower levels (EMVA 1288) [DN/e-]
     light_scatter: float  # scatter of the lamp from level to level, relative to its light

@@ -105,6 +105,10 @@ class LevelFit:
         """Names of the effects."""
         return tuple(applied.effect.name for applied in self.model.effects)
 
+    def applied(self, name: str) -> AppliedEffect:
+        """Return the effect of a name with its fitted values."""
+        return next(applied for applied in self.model.effects if applied.effect.name == name)
+
     def position(self, effect: str, parameter: str) -> int:
         """Return the position of a parameter in `names`."""
         return self.names.index((effect, parameter))
@@ -192,12 +196,10 @@ def fit_levels(
     model = replace(near.model if near else levels.declared, effects=tuple(effects))
     problem = _LevelProblem(levels, model, nearby=NEARBY if is_ranking else 0.0)
     point = problem.start
-    fit = problem.fit_at(point, near.scatter if near else LevelScatter(), has_converged=False)
-    if near is None:
-        fit = problem.with_scatter(fit)
+    fit = problem.fit_at(point, near.scatter if near else None, has_converged=False)
     for _ in range(rounds):
         point, has_converged = problem.solve(point, fit.scatter.standardize(levels, fit.slopes), steps)
-        before, fit = fit.deviance, problem.with_scatter(problem.fit_at(point, fit.scatter, has_converged))
+        before, fit = fit.deviance, problem.fit_at(point, None, has_converged)
         if abs(before - fit.deviance) < SETTLED:
             return fit
     return replace(fit, has_converged=False)
@@ -297,24 +299,17 @@ class _LevelProblem:
                             xtol=TOLERANCE, gtol=None, max_nfev=steps)  # fmt: skip
         return fit.x, fit.status > 0
 
-    def fit_at(self, point: np.ndarray, scatter: LevelScatter, has_converged: bool) -> LevelFit:
-        """Return the record of a fit that ended at a point, under a given scatter."""
+    def fit_at(self, point: np.ndarray, scatter: LevelScatter | None, has_converged: bool) -> LevelFit:
+        """Return the record of a fit that ended at a point; without a scatter (None), it is estimated."""
         expected = self.expect(point)
         jacobian, dark_jacobian = self.differentiate(point)
-        fit = LevelFit(
-            self.model_at(point), self.names, self.levels.values - expected.values, jacobian, expected.dark_misfit,
-            dark_jacobian, expected.light_slopes, scatter, 0.0, has_converged,
-        )  # fmt: skip
-        return self.with_deviance(fit)
-
-    def with_scatter(self, fit: LevelFit) -> LevelFit:
-        """Return a fit with the scatter estimated from its residuals, and its −2 ln L."""
+        residual, slopes = self.levels.values - expected.values, expected.light_slopes
         # Means and variances each lose half of the parameters.
-        scatter = estimate_scatter(self.levels, fit.residual, fit.slopes, len(self.names) / 2)
-        return self.with_deviance(replace(fit, scatter=scatter))
-
-    def with_deviance(self, fit: LevelFit) -> LevelFit:
-        """Return a fit with its −2 ln L under its scatter."""
+        scatter = scatter or estimate_scatter(self.levels, residual, slopes, len(self.names) / 2)
+        fit = LevelFit(
+            self.model_at(point), self.names, residual, jacobian, expected.dark_misfit, dark_jacobian, slopes, scatter,
+            0.0, has_converged,
+        )  # fmt: skip
         deviance = deviance_of(self.levels, fit, ~self.levels.is_held_out) + float(fit.dark_misfit @ fit.dark_misfit)
         return replace(fit, deviance=deviance)
 

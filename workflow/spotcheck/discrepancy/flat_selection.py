@@ -11,7 +11,7 @@ fits. A `LevelFit` has the fitted `model`, the `residual` [2, level], the deriva
 parameters (`jacobian`) and of the readings by the light (`slopes`), the `scatter`, and the `deviance`, −2 ln L.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,8 +58,6 @@ CELLS = 3
 # Least part of the information that a direction of the cells' scores must have to count.
 LEAST_CELL_SHARE = 1e-3
 
-Log = Callable[[str], None]
-
 
 @dataclass(frozen=True)
 class LevelCandidate:
@@ -79,7 +77,7 @@ class LevelTest:
     z: float  # strength in standard errors, or the root of the drop of χ² if that is smaller
     consistency: Consistency  # test of equal strength at low, middle and high levels, in means and in variances
     rivals: dict[str, float]  # by how much −2 ln L is larger with a rival in place of the effect, by name
-    held_out_gain: float  # drop of −2 ln L of the held-out levels; see `measure_held_out_gain`
+    without: LevelFit  # fit without the effect
     objection: str  # why the effect is not named; "" if it is named
 
 
@@ -101,7 +99,7 @@ class SmoothnessTest:
     p_value: float  # probability of a larger sum if there is no smooth part
 
 
-def select_level_effects(levels: FlatLevels, effects: Sequence[Effect], log: Log) -> SelectedLevelEffects:
+def select_level_effects(levels: FlatLevels, effects: Sequence[Effect]) -> SelectedLevelEffects:
     """Select the effects that the levels show: search for the best set, then remove effects that fail a test.
 
     The effect with the worst consistency is removed first. All others are tested again after each removal.
@@ -112,26 +110,21 @@ def select_level_effects(levels: FlatLevels, effects: Sequence[Effect], log: Log
         All levels.
     effects : sequence of Effect
         Effects to search for.
-    log : callable
-        Receives lines of text on the progress.
     """
     declared = fit_levels(levels, ())
-    best = _search(levels, declared, effects, log)
+    best = _search(levels, declared, effects)
     objections: dict[str, str] = {}
     while True:
         tests = {name: assess_level_effect(levels, best, name, effects) for name in best.effect_names}
-        for name, test in tests.items():
-            log(f"  test {name}: gain {test.gain:.0f}, z {test.z:.1f}, Q {test.consistency.q:.1f}"
-                f" of {test.consistency.limit:.0f}, rivals {test.rivals}, {test.objection or 'passes'}")  # fmt: skip
         failed = [name for name, test in tests.items() if test.objection]
         if not failed:
             return SelectedLevelEffects(declared, best, tests, objections)
         worst = max(failed, key=lambda name: tests[name].consistency.q / tests[name].consistency.limit)
         objections[worst] = tests[worst].objection
-        best = without_effect(levels, best, worst)
+        best = tests[worst].without
 
 
-def _search(levels: FlatLevels, declared: LevelFit, effects: Sequence[Effect], log: Log) -> LevelFit:
+def _search(levels: FlatLevels, declared: LevelFit, effects: Sequence[Effect]) -> LevelFit:
     """Search for the best set of effects, and return its fit; that of the declared model if no effect gains enough.
 
     The best sets of one size are extended by one effect each. The search ends when the residuals are smooth, or when
@@ -140,7 +133,6 @@ def _search(levels: FlatLevels, declared: LevelFit, effects: Sequence[Effect], l
     best, beam = declared, [declared]
     for _ in range(MOST_EFFECTS):
         p_values = [test.p_value for test in assess_smoothness(levels, best, estimate_rough_scatter(levels, best))]
-        log(f"  residuals of {' + '.join(best.effect_names) or 'the linear sensor'}: p {min(p_values):.2g}")
         if len(p_values) * min(p_values) > SMOOTH_P:
             break
         # Best fit of each extended set: several sets of the beam may lead to the same one.
@@ -153,8 +145,6 @@ def _search(levels: FlatLevels, declared: LevelFit, effects: Sequence[Effect], l
                 if extension is not None and not _has_negligible(levels, extension):
                     extended[names] = min(extended.get(names, extension), extension, key=_cost)
         beam = sorted(extended.values(), key=_cost)[:BEAM]
-        for fit in beam:
-            log(f"  {' + '.join(fit.effect_names)}: {best.deviance - fit.deviance:.0f}")
         if not beam or _cost(best) - _cost(beam[0]) < MIN_GAIN - PARAMETER_PRICE:
             break
         best = beam[0]
@@ -228,8 +218,7 @@ def _try_variants(levels: FlatLevels, fit: LevelFit, effect: Effect) -> LevelFit
     if len(effect.variants) == 1:
         return fit
     others = tuple(applied for applied in fit.model.effects if applied.effect is not effect)
-    present = next(applied for applied in fit.model.effects if applied.effect is effect)
-    fit_of_variant = {present.variant: fit}
+    fit_of_variant = {fit.applied(effect.name).variant: fit}
     without = fit_levels(levels, others, fit, is_ranking=True)
     for candidate in screen_starts(levels, without, list_starts([effect], levels.scales)):
         variant = candidate.start.variant
@@ -239,11 +228,6 @@ def _try_variants(levels: FlatLevels, fit: LevelFit, effect: Effect) -> LevelFit
     fits = (fit_of_variant[variant] for variant in effect.variants if variant in fit_of_variant)
     best = next(other for other in fits if _cost(other) < limit)
     return best if best is fit else fit_levels(levels, best.model.effects, best)
-
-
-def without_effect(levels: FlatLevels, fit: LevelFit, name: str) -> LevelFit:
-    """Refit the levels without an effect."""
-    return fit_levels(levels, [applied for applied in fit.model.effects if applied.effect.name != name], fit)
 
 
 # Tests
@@ -291,7 +275,8 @@ def assess_smoothness(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) 
 
 def assess_level_effect(levels: FlatLevels, fit: LevelFit, name: str, effects: Sequence[Effect]) -> LevelTest:
     """Test one effect of a fit; `effects` are those that may be its rivals."""
-    without = without_effect(levels, fit, name)
+    others = [applied for applied in fit.model.effects if applied.effect.name != name]
+    without = fit_levels(levels, others, fit)
     gain = without.deviance - fit.deviance
     rivals, has_negligible_rival = {}, False
     for effect in effects:
@@ -303,20 +288,15 @@ def assess_level_effect(levels: FlatLevels, fit: LevelFit, name: str, effects: S
                 rivals[effect.name] = max(rival.deviance - fit.deviance, 0.0)
                 has_negligible_rival |= _has_negligible(levels, rival)
     consistency, z = assess_consistency(levels, fit, without, name)
-    held_out_gain = measure_held_out_gain(levels, without, fit)
-    applied = next(applied for applied in fit.model.effects if applied.effect.name == name)
-    objection = ""
-    if gain < MIN_GAIN or z**2 < MIN_GAIN:
-        objection = "not significant"
-    elif is_negligible(applied, levels.scales):
-        objection = "too small to matter"
-    elif has_negligible_rival:
-        objection = "another effect that is too small to matter does as well"
-    elif not consistency.is_consistent:
-        objection = "low, middle and high levels disagree about its size"
-    elif held_out_gain <= 0:
-        objection = "it does not improve the prediction of held-out levels"
-    return LevelTest(gain, z, consistency, rivals, held_out_gain, objection)
+    objections = (
+        (gain < MIN_GAIN or z**2 < MIN_GAIN, "not significant"),
+        (is_negligible(fit.applied(name), levels.scales), "too small to matter"),
+        (has_negligible_rival, "another effect that is too small to matter does as well"),
+        (not consistency.is_consistent, "low, middle and high levels disagree about its size"),
+        (measure_held_out_gain(levels, without, fit) <= 0, "it does not improve the prediction of held-out levels"),
+    )
+    objection = next((text for is_raised, text in objections if is_raised), "")
+    return LevelTest(gain, z, consistency, rivals, without, objection)
 
 
 def measure_held_out_gain(levels: FlatLevels, before: LevelFit, after: LevelFit) -> float:
@@ -375,7 +355,7 @@ def assess_consistency(levels: FlatLevels, fit: LevelFit, without: LevelFit, nam
     # Squared strength in standard errors. A clip vanishes at infinity and has no Wald test.
     before = standardized_residual(levels, without, standardization)
     drop = float(before @ before - residual @ residual)
-    distance = distance_from_nothing(next(applied for applied in fit.model.effects if applied.effect.name == name))
+    distance = distance_from_nothing(fit.applied(name))
     wald = distance**2 / estimate_covariance(levels, fit)[position, position]
     z_squared = max(min(drop, wald if np.isfinite(distance) else np.inf), 0.0)
     freedom = int(is_used.sum())

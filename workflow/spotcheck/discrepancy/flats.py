@@ -22,25 +22,13 @@ from spotcheck.characterization.levels import make_linearizing_sensor, measure_l
 from spotcheck.characterization.photon_transfer import Transfer, analyse_photon_transfer
 from spotcheck.crops.ingest import exclude_copies
 from spotcheck.dataset.folder import Dataset
+from spotcheck.discrepancy import findings
 from spotcheck.discrepancy.candidates import list_starts, value_is_one_sided
 from spotcheck.discrepancy.criteria import MIN_GAIN, PRESENT_Z
 from spotcheck.discrepancy.evidence import is_negligible
-from spotcheck.discrepancy.findings import (
-    Detection,
-    Findings,
-    Gap,
-    LevelFindings,
-    NamedEffect,
-    ParameterValue,
-    Place,
-    ResidualTest,
-    Unexplained,
-    UpperLimit,
-)
 from spotcheck.discrepancy.flat_fit import LevelFit, LevelScatter, estimate_covariance, fit_levels
 from spotcheck.discrepancy.flat_levels import FEWEST_LEVELS, FlatLevels, collect_levels
 from spotcheck.discrepancy.flat_selection import (
-    Log,
     SelectedLevelEffects,
     add_effect,
     assess_smoothness,
@@ -48,7 +36,6 @@ from spotcheck.discrepancy.flat_selection import (
     measure_held_out_gain,
     screen_starts,
     select_level_effects,
-    without_effect,
 )
 from spotcheck.discrepancy.places import correct_for_number
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep
@@ -73,9 +60,7 @@ LIMIT_TRIALS, LIMIT_ACCURACY = 16, 0.01
 HALVING_FRAMES = 3
 
 
-def analyse_flats(
-    dataset: Dataset, frames_table: xr.Dataset, effects: Sequence[Effect], log: Log = lambda text: None
-) -> Findings:
+def analyse_flats(dataset: Dataset, frames_table: xr.Dataset, effects: Sequence[Effect]) -> findings.Findings:
     """Return the findings from a dataset of flats and darks.
 
     Parameters
@@ -86,20 +71,16 @@ def analyse_flats(
         Table of its frames (frames.nc).
     effects : sequence of Effect
         Effects to search for; those that levels cannot show are listed in `Findings.not_assessed`.
-    log : callable
-        Receives lines of text on the progress.
     """
     full_scale_dn = float(frames_table["full_scale"])
     dataset = exclude_copies(dataset, frames_table)
     transfer = analyse_photon_transfer(measure_levels(dataset, full_scale_dn), full_scale_dn)
     # `measure_levels` removes a stated curvature of the response, which changes the largest reading.
     linear_full_scale_dn = make_linearizing_sensor(dataset, full_scale_dn).without_curvature().full_scale_dn
-    return analyse_levels(transfer, linear_full_scale_dn, effects, log)
+    return analyse_levels(transfer, linear_full_scale_dn, effects)
 
 
-def analyse_levels(
-    transfer: Transfer, full_scale_dn: float, effects: Sequence[Effect], log: Log = lambda text: None
-) -> Findings:
+def analyse_levels(transfer: Transfer, full_scale_dn: float, effects: Sequence[Effect]) -> findings.Findings:
     """Return the findings from levels of light; only a reason if the levels cannot be assessed.
 
     Parameters
@@ -111,40 +92,38 @@ def analyse_levels(
         Largest reading [DN].
     effects : sequence of Effect
         Effects to search for.
-    log : callable
-        Receives lines of text on the progress.
     """
     levels, gain_of_line = collect_levels(transfer, full_scale_dn), transfer.quantities["gain"]
     if levels is None:
-        return Findings(reason=f"the manifest names no frame of kind spot; {gain_of_line.why or TOO_FEW}")
+        return findings.Findings(reason=f"the manifest names no frame of kind spot; {gain_of_line.why or TOO_FEW}")
     reasons = {effect.name: reason_not_assessed(effect, levels) for effect in effects}
     assessed = [effect for effect in effects if not reasons[effect.name]]
-    selected = select_level_effects(levels, assessed, log)
+    selected = select_level_effects(levels, assessed)
     declared, fit = selected.declared, selected.fit
     scatter = estimate_rough_scatter(levels, fit)
     detection = detect(levels, declared, scatter)
-    without = {name: without_effect(levels, fit, name) for name in fit.effect_names}
-    gap, shares = measure_gap(levels, declared, fit, scatter, without)
+    gap, shares = measure_gap(levels, selected, scatter)
     covariance = estimate_covariance(levels, fit)
     position = fit.position("", "gain_dn_per_e")
     gain_variance = covariance[position, position]
     # Scatter of the lamp beyond the stated errors, relative to the light.
     lamp_scatter = (scatter.lamp**2 - 1) ** 0.5 * float(np.median(levels.errors[0] / levels.values[0]))
-    return Findings(
+    return findings.Findings(
         has_converged=declared.has_converged and fit.has_converged,
         detection=detection,
         rms_of_peak=max(mean_square_beyond_noise(levels, declared, scatter)[0], 0.0) ** 0.5,
         places=list_places(levels, declared, scatter),
         effects=name_effects(selected, covariance, shares),
-        limits=tuple(limit_effect(levels, selected, effect) for effect in assessed if effect.name not in without),
+        limits=tuple(
+            limit_effect(levels, selected, effect) for effect in assessed if effect.name not in selected.tests
+        ),
         unexplained=measure_unexplained(levels, fit, scatter, gap, detect(levels, fit, scatter).p_value),
         gap=gap,
         not_assessed=tuple((name, reason) for name, reason in reasons.items() if reason),
-        levels=LevelFindings(
+        levels=findings.LevelFindings(
             number=len(levels.light),
-            frames=levels.frames,
-            gain=ParameterValue(fit.model.sensor.gain_dn_per_e, float(gain_variance**0.5), "DN/e-"),
-            straight_line=ParameterValue(gain_of_line.value, gain_of_line.stderr, "DN/e-"),
+            gain=findings.ParameterValue(fit.model.sensor.gain_dn_per_e, float(gain_variance**0.5), "DN/e-"),
+            straight_line=findings.ParameterValue(gain_of_line.value, gain_of_line.stderr, "DN/e-"),
             light_scatter=lamp_scatter,
         ),
     )
@@ -163,7 +142,7 @@ def reason_not_assessed(effect: Effect, levels: FlatLevels) -> str:
 # Detection
 
 
-def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detection:
+def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> findings.Detection:
     """Test whether the residuals of a fit have a part that is smooth in light.
 
     A rough residual, from level to level, is taken for scatter of the lamp. The p-value of all tests is corrected for
@@ -176,9 +155,9 @@ def detect(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> Detectio
         where = name_place(levels, value, int(np.argmax(np.abs(z[value]))))
         p_value = max(smoothness.p_value, LEAST_P)
         name = f"{VALUES[value]}: smooth in light"
-        tests.append(ResidualTest(name, where, smoothness.excess, p_value, float(norm.isf(p_value))))
+        tests.append(findings.ResidualTest(name, where, smoothness.excess, p_value, float(norm.isf(p_value))))
     tests.sort(key=lambda test: test.p_value)
-    return Detection(correct_for_number(tests[0].p_value, len(tests)), tuple(tests))
+    return findings.Detection(correct_for_number(tests[0].p_value, len(tests)), tuple(tests))
 
 
 def deviations_in_errors(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> np.ndarray:
@@ -191,25 +170,25 @@ def name_place(levels: FlatLevels, value: int, level: int) -> str:
     return f"the {VALUES[value]} of the level at {levels.values[0, level]:.4g} DN"
 
 
-def list_places(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> tuple[Place, ...]:
+def list_places(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> tuple[findings.Place, ...]:
     """Return the means and variances of levels that disagree most with a fit, the strongest first."""
     z = deviations_in_errors(levels, fit, scatter)
     places = [divmod(int(k), z.shape[1]) for k in np.argsort(-np.abs(z), axis=None)[:MOST_PLACES]]
-    return tuple(Place(name_place(levels, value, level), float(z[value, level])) for value, level in places)
+    return tuple(findings.Place(name_place(levels, value, level), float(z[value, level])) for value, level in places)
 
 
 # Held-out levels and the unexplained residual
 
 
 def measure_gap(
-    levels: FlatLevels, declared: LevelFit, fit: LevelFit, scatter: LevelScatter, without: dict[str, LevelFit]
-) -> tuple[Gap, dict[str, float]]:
+    levels: FlatLevels, selected: SelectedLevelEffects, scatter: LevelScatter
+) -> tuple[findings.Gap, dict[str, float]]:
     """Return the gap on held-out levels, and the part of it that each effect of the extended model closes, by name.
 
-    `fit` is that of the extended model, `without` has a fit without each of its effects. All fits are compared under
-    the same scatter, that of the extended model, so that the expected mean square is 1 for noise alone.
+    All fits are compared under the same scatter, that of the extended model, so that the expected mean square is 1 for
+    noise alone.
     """
-    is_held_out = levels.is_held_out
+    is_held_out, declared, fit = levels.is_held_out, selected.declared, selected.fit
     standardization = scatter.standardize(levels, fit.slopes)
 
     def mean_square(other: LevelFit) -> float:
@@ -222,11 +201,11 @@ def measure_gap(
         float(max(np.mean(other.residual[0, is_held_out] ** 2 - noise), 0.0) ** 0.5) for other in (declared, fit)
     )
     excess = max(before - 1.0, 1e-12)
-    gap = Gap(
+    gap = findings.Gap(
         before=before, after=after, noise_floor=1.0, closed=(before - after) / excess, rms_dn_before=rms_before,
         rms_dn_after=rms_after, gain=measure_held_out_gain(levels, declared, fit), on="held-out levels",
     )  # fmt: skip
-    return gap, {name: (mean_square(other) - after) / excess for name, other in without.items()}
+    return gap, {name: (mean_square(test.without) - after) / excess for name, test in selected.tests.items()}
 
 
 def mean_square_beyond_noise(levels: FlatLevels, fit: LevelFit, scatter: LevelScatter) -> tuple[float, float]:
@@ -241,8 +220,8 @@ def mean_square_beyond_noise(levels: FlatLevels, fit: LevelFit, scatter: LevelSc
 
 
 def measure_unexplained(
-    levels: FlatLevels, fit: LevelFit, scatter: LevelScatter, gap: Gap, p_value: float
-) -> Unexplained:
+    levels: FlatLevels, fit: LevelFit, scatter: LevelScatter, gap: findings.Gap, p_value: float
+) -> findings.Unexplained:
     """Return the residual of the means about the extended model; `p_value` is that of its detection.
 
     The share of the gap is NaN if the gap under the declared model may be due to noise.
@@ -251,7 +230,7 @@ def measure_unexplained(
     # Two standard deviations of the mean square of 2 n standard normal values, for n levels.
     chance = 2 * np.count_nonzero(levels.is_held_out) ** -0.5
     share = float(np.clip(1 - gap.closed, 0.0, 1.0)) if gap.before > gap.noise_floor + chance else float("nan")
-    return Unexplained(max(square, 0.0) ** 0.5, error, square / error, share, p_value)
+    return findings.Unexplained(max(square, 0.0) ** 0.5, error, square / error, share, p_value)
 
 
 # Effects and limits
@@ -259,7 +238,7 @@ def measure_unexplained(
 
 def name_effects(
     selected: SelectedLevelEffects, covariance: np.ndarray, shares: dict[str, float]
-) -> tuple[NamedEffect, ...]:
+) -> tuple[findings.NamedEffect, ...]:
     """Return the effects of the extended model, the one that closes most of the gap first.
 
     `covariance` [parameter, parameter] is that of the fit, `shares` the part of the gap that each effect closes.
@@ -270,13 +249,15 @@ def name_effects(
         for parameter in applied.effect.parameters_of(applied.variant):
             position = fit.position(name, parameter.name)
             stderr = float(covariance[position, position] ** 0.5)
-            values[parameter.name] = ParameterValue(applied.parameters[parameter.name], stderr, parameter.unit)
+            values[parameter.name] = findings.ParameterValue(applied.parameters[parameter.name], stderr, parameter.unit)
         test = selected.tests[name]
-        named.append(NamedEffect(applied, values, test.gain, test.z, test.consistency, test.rivals, shares[name]))
+        named.append(
+            findings.NamedEffect(applied, values, test.gain, test.z, test.consistency, test.rivals, shares[name])
+        )
     return tuple(sorted(named, key=lambda effect: -effect.gap_closed))
 
 
-def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Effect) -> UpperLimit:
+def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Effect) -> findings.UpperLimit:
     """Return the range of the strength of an effect that is not named.
 
     The range comes from a fit if its score test promises a drop of −2 ln L by at least `LEAST_FIT`, else from score
@@ -284,8 +265,7 @@ def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Eff
     not show. `selected` has the fit of the extended model, the `tests` of its effects, and `objections`: why an effect
     was removed from it.
     """
-    parameter = effect.parameters[0]
-    limit = UpperLimit(effect.name, parameter.name, parameter.unit, selected.objections.get(effect.name, NOT_FOUND))
+    limit = findings.UpperLimit.of_effect(effect, selected.objections.get(effect.name, NOT_FOUND))
     named = [name for name, test in selected.tests.items() if effect.name in test.rivals]
     if named:
         return replace(limit, reason=f"does as well in the place of {named[0]}")
@@ -314,7 +294,7 @@ def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Eff
     return replace(limit, frames=HALVING_FRAMES * levels.frames)
 
 
-def limit_fitted(levels: FlatLevels, fit: LevelFit, limit: UpperLimit) -> UpperLimit:
+def limit_fitted(levels: FlatLevels, fit: LevelFit, limit: findings.UpperLimit) -> findings.UpperLimit:
     """Return a limit with the range of the strength of the last effect of a fit: its value and error after a refit."""
     fit = fit_levels(levels, fit.model.effects, fit)
     applied = fit.model.effects[-1]
