@@ -27,10 +27,9 @@ from spotcheck.discrepancy.evaluation import differentiate_readings, evaluate
 from spotcheck.discrepancy.findings import Advice, NamedEffect
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
-from spotcheck.discrepancy.laws import LawFit, LawParameter, LawSearch, is_law, spot_conditions, value_of, with_value
+from spotcheck.discrepancy.laws import LawFit, LawSearch, is_law, predict_spots, spot_conditions
 from spotcheck.discrepancy.normal_equations import information_beside
 from spotcheck.model.effect import Effect, EffectScales
-from spotcheck.model.forward import ForwardModel
 
 # Most frames that an advice may ask for; nobody takes more for one question.
 MOST_FRAMES = 200
@@ -40,8 +39,6 @@ USABLE_SHARE = 0.97
 BLOCKED_LOG_PEAK = -20.0
 # Effort of fits to thinned pixels: Newton decrement of the effects, and most iterations.
 TOLERANCE, ITERATIONS = 0.3, 14
-# Relative step of differences in parameters of laws, and the least magnitude that it is relative to.
-STEP, LEAST_SCALE = 1e-5, 1e-2
 # Singular value of the derivatives by spot parameters that counts as 0, relative to the largest.
 NULL_SINGULAR = 1e-9
 # Angles [deg] beyond the largest present one that are tried.
@@ -245,20 +242,16 @@ def predict_frame(
         log_peak = log_peak + np.log(design.exposure_s / model.design.exposure_s[frame])
     else:
         law = replace(present.search.forward, law=present.laws.law, effects=present.laws.effects)
-        predicted, present_spot = predict_spot(law, design), predict_spot(law, model.design.select(nearest))
-        log_peak, log_sigma = log_peak + predicted[0] - present_spot[0], log_sigma + predicted[1] - present_spot[1]
+        predicted, at_present = (
+            predict_spots(law, spot_conditions(other)) for other in (design, model.design.select(nearest))
+        )
+        log_peak, log_sigma = np.array([log_peak, log_sigma]) + predicted - at_present
     spots = FrameParameters(log_peak, log_sigma, spots.x, spots.y)
     # Without a grid the light shape is kept as fitted.
     return replace(model, spots=spots, design=design, grid=None), pixels.select(nearest)
 
 
 # Laws
-
-
-def predict_spot(model: ForwardModel, design: Design) -> np.ndarray:
-    """Return ln peak [ln DN] and ln σ [ln px] of one frame under the laws of a model [2]; NaN outside their domain."""
-    spot = model.spot(spot_conditions(design))
-    return np.log([float(np.ravel(spot.peak_dn)[0]), float(np.ravel(spot.sigma_px)[0])])
 
 
 def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[WorthFunction, np.ndarray] | None:
@@ -283,7 +276,8 @@ def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[W
         if condition.get("blocked"):
             return None
         frame, design = design_at(search.design, condition)
-        expected, rival_expected = predict_spot(model, design), predict_spot(rival_model, design)
+        conditions = spot_conditions(design)
+        expected, rival_expected = (predict_spots(law, conditions).ravel() for law in (model, rival_model))
         sensor = search.forward.sensor
         brightest = sensor.black_level_dn + search.forward.baseline.plateau(np.exp(expected[0]))
         if not np.isfinite([*expected, *rival_expected]).all() or brightest > USABLE_SHARE * sensor.full_scale_dn:
@@ -292,16 +286,8 @@ def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[W
         index = np.ix_([frame, search.frame_count + frame], [frame, search.frame_count + frame])
         exposure_ratio = max(search.design.exposure_s[frame] / design.exposure_s[0], 1.0)
         weight = np.linalg.inv(covariance[index] + (exposure_ratio - 1) * search.noise[index])
-        slopes = np.array([slope_of_spot(rival_model, parameter, design) for parameter in rival_laws.names]).T
+        _, slopes = search.linearize(rival_model, rival_laws.names, conditions)
         residual = expected - rival_expected
         return FrameWorth(float(residual @ weight @ residual), slopes.T @ weight @ residual, slopes.T @ weight @ slopes)
 
     return worth_of, rival_laws.jacobian.T @ search.inverse @ rival_laws.jacobian
-
-
-def slope_of_spot(model: ForwardModel, parameter: LawParameter, design: Design) -> np.ndarray:
-    """Return the derivatives of ln peak and ln σ of one frame by a parameter of its laws [2]."""
-    value = value_of(model, parameter)
-    step = STEP * max(abs(value), LEAST_SCALE)
-    moved = with_value(model, parameter, value + step)
-    return (predict_spot(moved, design) - predict_spot(model, design)) / step

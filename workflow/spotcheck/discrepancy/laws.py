@@ -83,6 +83,13 @@ def spot_conditions(design: Design) -> FrameConditions:
     return FrameConditions(grid, nowhere, nowhere, exposure_s, design.longest_s, design.reference_s, angle, order)
 
 
+def predict_spots(model: ForwardModel, conditions: FrameConditions) -> np.ndarray:
+    """Return ln peak [ln DN] and ln σ_g [ln px] of frames under a model with a law [2, frame]; NaN if negative."""
+    with np.errstate(all="ignore"):
+        spot, shape = model.spot(conditions), conditions.exposure_s.shape
+        return np.log([np.broadcast_to(values, shape).ravel() for values in (spot.peak_dn, spot.sigma_px)])
+
+
 @dataclass(frozen=True)
 class LawFit:
     """A fitted set of laws."""
@@ -211,7 +218,7 @@ class LawSearch:
         model = replace(self.forward, law=law, effects=effects)
         has_converged = False
         for _ in range(ITERATIONS):
-            mean, jacobian = self._linearize(model, names)
+            mean, jacobian = self.linearize(model, names)
             whitened = self.whitening @ jacobian
             step = np.linalg.lstsq(whitened, self.whitening @ (self.observations - mean), rcond=STEP_RCOND)[0]
             has_converged = bool(np.sum((whitened @ step) ** 2) < TOLERANCE)
@@ -219,7 +226,7 @@ class LawSearch:
             # Where no step lowers χ² the next one would be the same.
             if has_converged or model is before:
                 break
-        mean, jacobian = self._linearize(model, names)
+        mean, jacobian = self.linearize(model, names)
         residual, whitened = self.observations - mean, self.whitening @ jacobian
         chi2 = self._chi2_of(model)
         covariance = invert_information(whitened.T @ whitened)
@@ -256,30 +263,26 @@ class LawSearch:
         else:
             p1, p2 = 0.0, float(np.mean(broadening_px))
         law = ExposureLaw(float(p1), float(p2), peak_dn=1.0)
-        peak = replace(self.forward, law=law).spot(self.conditions).peak_dn
-        return replace(law, peak_dn=float(np.exp(np.mean(self.measurements.spots.log_peak - np.log(np.ravel(peak))))))
+        log_peak, _ = predict_spots(replace(self.forward, law=law), self.conditions)
+        return replace(law, peak_dn=float(np.exp(np.mean(self.measurements.spots.log_peak - log_peak))))
 
-    def mean_of(self, model: ForwardModel, conditions: FrameConditions | None = None) -> np.ndarray:
-        """Return the mean of the observations under a model with a law [2F]; NaN where peak or σ_g is negative.
+    def mean_of(self, model: ForwardModel) -> np.ndarray:
+        """Return the mean of the observations under a model with a law [2F]; NaN where peak or σ_g is negative."""
+        return predict_spots(model, self.conditions).ravel()
 
-        `conditions` of F frames replace those of the search.
-        """
-        with np.errstate(all="ignore"):
-            spot = model.spot(conditions or self.conditions)
-            return np.concatenate(
-                [np.log(np.broadcast_to(v, (self.frame_count, 1, 1)).ravel()) for v in (spot.peak_dn, spot.sigma_px)]
-            )
-
-    def _linearize(self, model: ForwardModel, names: Sequence[LawParameter]) -> tuple[np.ndarray, np.ndarray]:
+    def linearize(
+        self, model: ForwardModel, names: Sequence[LawParameter], conditions: FrameConditions | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return mean [2F] and forward-difference derivatives [2F, parameter] of the observations; 0 instead of NaN."""
-        mean = self.mean_of(model)
+        conditions = conditions or self.conditions
+        mean = predict_spots(model, conditions).ravel()
         columns = []
         for parameter in names:
             value, (low, high) = value_of(model, parameter), self._bounds_of(model, parameter)
             step = DIFFERENCE * max(abs(value), LEAST_SCALE * (high - low) if np.isfinite(high - low) else 1.0)
-            columns.append((self.mean_of(with_value(model, parameter, value + step)) - mean) / step)
-        jacobian = np.stack(columns, 1)
-        return np.nan_to_num(mean), np.nan_to_num(jacobian)
+            moved = predict_spots(with_value(model, parameter, value + step), conditions).ravel()
+            columns.append((moved - mean) / step)
+        return np.nan_to_num(mean), np.nan_to_num(np.stack(columns, 1))
 
     def _bounds_of(self, model: ForwardModel, parameter: LawParameter) -> tuple[float, float]:
         """Return the lowest and the highest value of a parameter; infinite for the law of the exposure."""
@@ -293,18 +296,14 @@ class LawSearch:
 
         The whole step is shortened until no parameter crosses more than `LARGEST_STEP` of its range.
         """
-        fraction = 1.0
-        for parameter, change in zip(names, step, strict=True):
-            low, high = self._bounds_of(model, parameter)
-            if np.isfinite(high - low) and abs(change) > LARGEST_STEP * (high - low):
-                fraction = min(fraction, LARGEST_STEP * (high - low) / abs(change))
-        for parameter, change in zip(names, step, strict=True):
+        low, high = np.array([self._bounds_of(model, parameter) for parameter in names]).T
+        # Parameters of the law of the exposure have an infinite range.
+        fraction = min(1.0, float(np.min(LARGEST_STEP * (high - low) / np.maximum(np.abs(step), 1e-300))))
+        for parameter, change, bounds in zip(names, fraction * step, zip(low, high, strict=True), strict=True):
             old = value_of(model, parameter)
-            value = old + fraction * change
-            if parameter == PEAK:
-                # A logarithmic step of at most a factor e keeps the peak above 0.
-                value = old * np.exp(np.clip(fraction * change / old, -1, 1))
-            model = with_value(model, parameter, float(np.clip(value, *self._bounds_of(model, parameter))))
+            # A logarithmic step of at most a factor e keeps the peak above 0.
+            value = old * np.exp(np.clip(change / old, -1, 1)) if parameter == PEAK else old + change
+            model = with_value(model, parameter, float(np.clip(value, *bounds)))
         return model
 
     def select(self, effects: Sequence[Effect]) -> tuple[LawNames, list[LawNames], dict[LawNames, LawFit]]:

@@ -13,7 +13,7 @@ An `Evaluation` of a model has, for each pixel of a frame, the `residual` [DN] a
 are the derivatives of the light by the spot parameters, `moments.mean_slope` is that of the mean reading by the light.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from spotcheck.discrepancy.frames import (
     thin_pixels,
 )
 from spotcheck.discrepancy.joint_fit import JointModel
-from spotcheck.discrepancy.laws import is_law, spot_conditions
+from spotcheck.discrepancy.laws import is_law, predict_spots, spot_conditions
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
 from spotcheck.discrepancy.residuals import ResidualImages, place_on_sensor, select_all_pixels, sum_over_blocks
 from spotcheck.discrepancy.site_draws import improve_draws, start_draws
@@ -155,7 +155,7 @@ def predict_frames(nested: NestedModel, frames: FrameSet, start: FrameParameters
     start : FrameParameters
         Spots of the frames. Their fit starts from the mean centre of each site; peak and width are not used.
     """
-    spots = _spots_of_law(nested.forward, frames.design, _average_centres(frames.design, start))
+    spots = _start_spots(nested.forward, frames.design, start)
     effects = tuple(applied for applied in nested.forward.effects if not is_law(applied.effect))
     model = JointModel(replace(nested.forward, law=None, effects=effects), spots, frames.design)
     pixels = select_pixels(frames, spots)
@@ -165,20 +165,12 @@ def predict_frames(nested: NestedModel, frames: FrameSet, start: FrameParameters
     return _compare_frames(model, nested.scatter, frames)
 
 
-def _average_centres(design: Design, spots: FrameParameters) -> FrameParameters:
-    """Return the spots with the mean centre of their site."""
+def _start_spots(forward: ForwardModel, design: Design, spots: FrameParameters) -> FrameParameters:
+    """Return spots with peak and width by the law of a model, and the mean centre of `spots` of their site."""
     site = np.unique(design.site, return_inverse=True)[1]
-    count = np.bincount(site)
-    x, y = (np.bincount(site, values)[site] / count[site] for values in (spots.x, spots.y))
-    return replace(spots, x=x, y=y)
-
-
-def _spots_of_law(model: ForwardModel, design: Design, spots: FrameParameters) -> FrameParameters:
-    """Return the spots with peak and width by the law of a model."""
-    spot = model.spot(spot_conditions(design))
-    shape = (len(spots.x), 1, 1)
-    peak, sigma = (np.broadcast_to(values, shape).ravel() for values in (spot.peak_dn, spot.sigma_px))
-    return replace(spots, log_peak=np.log(peak), log_sigma=np.log(sigma))
+    x, y = (np.bincount(site, values)[site] / np.bincount(site)[site] for values in (spots.x, spots.y))
+    log_peak, log_sigma = predict_spots(forward, spot_conditions(design))
+    return FrameParameters(log_peak, log_sigma, x, y)
 
 
 def _fit_sites(model: JointModel, pixels: Pixels, site_sd: tuple[float, float], steps: int) -> JointModel:
@@ -231,36 +223,23 @@ def _sum_by_site(equations: NormalEquations, site: np.ndarray) -> tuple[np.ndarr
     return gradient, information
 
 
-@dataclass(frozen=True)
-class _BlockResiduals:
-    """Sums over the pixels of each block near a spot; arrays [block], the blocks of all frames."""
-
-    residual: np.ndarray  # sum of the residuals [DN]
-    noise: np.ndarray  # variance of that sum by the noise of single pixels [DN²]
-    scatter: np.ndarray  # variance of that sum by all other scatter [DN²]
-    count: np.ndarray  # number of pixels
-    frame: np.ndarray  # number of the frame of the block
-
-
 def _compare_frames(model: JointModel, scatter: FrameScatter, frames: FrameSet) -> Prediction:
     """Return the comparison of frames with a model whose spots are final."""
     pixels = select_all_pixels(frames)
 
-    def compare_batch(batch: slice) -> tuple[_BlockResiduals, float]:
+    def compare_batch(batch: slice) -> tuple[np.ndarray, float]:
         """Return the blocks and the score of a batch of frames."""
         return _compare_batch(model, scatter, frames, pixels, batch)
 
     results = map_batches(compare_batch, pixels)
-    blocks = _BlockResiduals(
-        *(np.concatenate([getattr(sums, item.name) for sums, _ in results]) for item in fields(_BlockResiduals))
-    )
-    squares, relative = blocks.residual**2 / blocks.noise, blocks.scatter / blocks.noise
+    residual, noise, other_variance, count, frame = np.concatenate([blocks for blocks, _ in results], axis=1)
+    squares, relative = residual**2 / noise, other_variance / noise
     # The square of a normal number has the variance 2 times its squared mean.
     variance = 2 * np.sum((1 + relative) ** 2)
     if scatter.frame_sd.any():
         # A deviation of a frame's spot moves all its blocks together: their scatter adds up before it is squared.
-        variance = 2 * np.sum(np.bincount(blocks.frame, relative) ** 2) + 2 * len(relative)
-    excess = (blocks.residual**2 - blocks.noise) / blocks.count**2
+        variance = 2 * np.sum(np.bincount(frame.astype(int), relative) ** 2) + 2 * len(relative)
+    excess = (residual**2 - noise) / count**2
     return Prediction(
         gap=float(squares.mean()),
         floor=float(1 + relative.mean()),
@@ -273,10 +252,12 @@ def _compare_frames(model: JointModel, scatter: FrameScatter, frames: FrameSet) 
 
 def _compare_batch(
     model: JointModel, scatter: FrameScatter, frames: FrameSet, pixels: Pixels, batch: slice
-) -> tuple[_BlockResiduals, float]:
-    """Return the blocks near the spots of a batch of frames, and the score of the frames.
+) -> tuple[np.ndarray, float]:
+    """Return sums over the blocks near the spots of a batch of frames [5, block], and the score of the frames.
 
-    `pixels` are all pixels of `frames`, of which `batch` selects some.
+    `pixels` are all pixels of `frames`, of which `batch` selects some. The sums are, for each block, that of the
+    residuals [DN], its variance by the noise of single pixels and by all other scatter [DN²], and the number of pixels.
+    The number of the frame follows.
     """
     evaluation = evaluate(model, pixels, batch)
     used = evaluation.weight > 0
@@ -293,7 +274,8 @@ def _compare_batch(
         gain, gain_error = (np.stack(arrays) for arrays in zip(*known, strict=True))
         residual, gain_variance = residual - gain * slopes[0], gain_error * light_square
     total = variance + scatter.field_variance * light_square + gain_variance
-    score = _score_frames(scatter, residual, total, slopes, evaluation, used)
+    weight = np.where(used, 1 / np.where(used, total, 1.0), 0.0)
+    score = _score_frames(scatter, residual, weight, slopes, evaluation.moments.mean_slope * used)
     is_near = used & _is_near(evaluation)
 
     def sum_blocks(values: np.ndarray) -> np.ndarray:
@@ -314,30 +296,25 @@ def _compare_batch(
     is_used_block = count > BLOCK_PX**2 / 2
     frame = np.broadcast_to(np.arange(batch.start, batch.stop)[:, None, None], count.shape)
     arrays = (sum_blocks(residual), sum_blocks(variance - grain_variance), others, count, frame)
-    return _BlockResiduals(*(values[is_used_block] for values in arrays)), score
+    return np.array([values[is_used_block] for values in arrays]), score
 
 
 def _score_frames(
-    scatter: FrameScatter,
-    residual: np.ndarray,
-    variance: np.ndarray,
-    slopes: np.ndarray,
-    evaluation: Evaluation,
-    used: np.ndarray,
+    scatter: FrameScatter, residual: np.ndarray, weight: np.ndarray, slopes: np.ndarray, row_slope: np.ndarray
 ) -> float:
     """Return −2 ln p of frames, up to a constant.
 
     Offsets of rows, and deviations of a frame's spot, are integrated out, each as if the other were absent. Arrays are
-    [frame, row, column]: residual [DN], variance [DN²] of a reading by itself, and whether a pixel is used. `slopes`
-    have an axis of the scattering spot parameters before these.
+    [frame, row, column]: residual [DN], 1/variance of a reading by itself [1/DN²], 0 for pixels that are not used, and
+    the derivative of the mean reading by an offset of its row. `slopes` are those by the scattering spot parameters,
+    with an axis of these before the others.
     """
-    weight = np.where(used, 1 / np.where(used, variance, 1.0), 0.0)
-    score = float(np.sum(residual**2 * weight) - np.sum(np.log(weight, where=used, out=np.zeros(used.shape))))
+    log_weight = np.log(weight, where=weight > 0, out=np.zeros(weight.shape))
+    score = float(np.sum(residual**2 * weight) - np.sum(log_weight))
     # With a covariance V + S S', −2 ln p changes by ln |1 + S'V⁻¹S| − (S'V⁻¹r)'(1 + S'V⁻¹S)⁻¹(S'V⁻¹r) (Woodbury).
     if scatter.row_variance:
-        slope = evaluation.moments.mean_slope * used
-        gradient = (slope * residual * weight).sum(axis=2)
-        information = scatter.row_variance * (slope**2 * weight).sum(axis=2)
+        gradient = (row_slope * residual * weight).sum(axis=2)
+        information = scatter.row_variance * (row_slope**2 * weight).sum(axis=2)
         score += float(np.sum(np.log1p(information) - scatter.row_variance * gradient**2 / (1 + information)))
     if scatter.frame_sd.any():
         scaled = slopes * scatter.frame_sd[:, None, None, None]

@@ -23,7 +23,7 @@ from spotcheck.dataset.manifest import Frame
 from spotcheck.discrepancy.evaluation import evaluate
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
-from spotcheck.discrepancy.laws import spot_conditions
+from spotcheck.discrepancy.laws import predict_spots, spot_conditions
 from spotcheck.discrepancy.residuals import select_all_pixels
 from spotcheck.discrepancy.starting_spots import acts_on_mean, fit_spots
 from spotcheck.fitting.crop_fits import select_preferred_fits
@@ -125,11 +125,7 @@ def compute_log_spots(forward: ForwardModel, frames: FrameSet, spots: FrameParam
     if spots is not None:
         peak, sigma = (np.exp(values)[:, None, None] for values in (spots.log_peak, spots.log_sigma))
         conditions = replace(conditions, peak_dn=peak, sigma_px=sigma)
-    # An effect far outside of its range may give a peak or width that has no logarithm: NaN.
-    with np.errstate(all="ignore"):
-        state = forward.spot(conditions)
-        rows = [np.broadcast_to(row, (len(frames), 1, 1)).ravel() for row in (state.peak_dn, state.sigma_px)]
-        return np.log(np.array(rows, float))
+    return predict_spots(forward, conditions)
 
 
 def fit_declared(viewed: ViewedFrames) -> ModelledFrames:
