@@ -48,6 +48,12 @@ def residual_images(seed: int, conditions=CONDITIONS, spread: int = 3) -> Residu
     )
 
 
+def offsets_of(images: ResidualImages) -> tuple[np.ndarray, np.ndarray]:
+    """Return columns and rows of the pixels from the spots [frame, 1, column], [frame, row, 1]."""
+    x = (images.left - images.spots.x)[:, None, None] + np.arange(SIDE)
+    return x, (images.top - images.spots.y)[:, None, None] + np.arange(SIDE)[:, None]
+
+
 def with_residual(images: ResidualImages, addition: np.ndarray) -> ResidualImages:
     """Return the images with something added to the residuals [DN]."""
     return replace(images, residual=images.residual + addition.astype(np.float32))
@@ -111,9 +117,7 @@ def test_variances_of_sums_are_those_of_projected_noise():
 def test_errors_of_the_fitted_spot_and_read_noise_change_nothing():
     """A misfit of brightness, width and centre, or a read noise that is 3 % off, is no disagreement."""
     images = residual_images(1)
-    spots = images.spots
-    x = images.left[:, None, None] + np.arange(SIDE)[None, None, :] - spots.x[:, None, None]
-    y = images.top[:, None, None] + np.arange(SIDE)[None, :, None] - spots.y[:, None, None]
+    x, y = offsets_of(images)
     misfit = images.spot * (0.02 + 0.01 * (x**2 + y**2) / SIGMA**2 + 0.02 * x / SIGMA)
     shifted = detection.test_residuals(with_residual(images, misfit))
     p_value = detection.test_residuals(images).p_value
@@ -172,9 +176,7 @@ def test_noise_of_a_range_of_light_is_detected(low: int, high: int, words: str):
 
 def test_ring_about_the_spot_is_detected():
     images = residual_images(5)
-    spots = images.spots
-    x = images.left[:, None, None] + np.arange(SIDE)[None, None, :] - spots.x[:, None, None]
-    y = images.top[:, None, None] + np.arange(SIDE)[None, :, None] - spots.y[:, None, None]
+    x, y = offsets_of(images)
     ring = np.abs(np.hypot(x, y) / SIGMA - 2.75) < 0.25
     places = find_places(with_residual(images, 0.6 * ring))
     assert places[0].words == "pixels 2.5 to 3.0 widths from the centre"

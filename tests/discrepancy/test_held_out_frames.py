@@ -7,17 +7,20 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
-from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.nested_models import ValidatedChain
-from spotcheck.discrepancy.normal_equations import invert_information
-from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.discrepancy.validation import FrameScatter, NestedModel, Prediction, predict_frames
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect
-from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from tests.samples.drawn_frames import Conditions, DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
-from tests.samples.models_of_frames import BASELINE, DEPARTURES, SCALES, SENSOR, fit_drawn, frame_set, starting_spots
+from tests.samples.models_of_frames import (
+    BASELINE,
+    DEPARTURES,
+    SENSOR,
+    fit_law,
+    frame_set,
+    starting_spots,
+)
 
 # Two angles, three exposures and six repeats: 24 frames to fit, 12 held out.
 CONDITIONS = lay_out(angles_deg=(0.0, 60.0), repeats=6)
@@ -53,18 +56,6 @@ def test_every_third_repeat_is_held_out(labels, expected: set[int]):
 # How well they are predicted.
 
 
-def fit_law(fitted: DrawnFrames, effects: tuple[AppliedEffect, ...], laws: tuple[str, ...]) -> ForwardModel:
-    """Return the model with effects and laws that was fitted to some frames."""
-    fit = fit_drawn(fitted, *effects)
-    assert fit.has_converged
-    count = 4 * len(fitted.x)
-    covariance = invert_information(fit.equations.information)[:count, :count]
-    measurements = SpotMeasurements(fit.model.design, fit.model.spots, covariance)
-    sensor = fit.model.forward.sensor
-    law_fit = LawSearch(measurements, ForwardModel(BASELINE, sensor), SCALES).fit([vocabulary()[name] for name in laws])
-    return ForwardModel(BASELINE, SENSOR, law_fit.law, (*fit.model.forward.effects, *law_fit.effects))
-
-
 def split_frames(drawn: DrawnFrames) -> tuple[DrawnFrames, FrameSet, FrameParameters]:
     """Return the frames to fit, the frames that are held out, and where the fit of their centres starts."""
     held = frame_set(drawn).held_out()
@@ -92,7 +83,7 @@ def is_wrong(prediction: Prediction) -> bool:
 def plain_case() -> tuple[NestedModel, FrameSet, FrameParameters, Prediction]:
     """Return the model that was fitted to plain frames, the frames that are held out, and their prediction."""
     fitted, frames, start = split_frames(draw_frames(1, CONDITIONS))
-    model = NestedModel("", fit_law(fitted, (), ()))
+    model = NestedModel("", fit_law(fitted))
     return model, frames, start, predict_frames(model, frames, start)
 
 
@@ -150,7 +141,7 @@ def test_scatter_of_the_brightness_is_no_gap_once_it_is_known():
     drawn = draw_frames(43, CONDITIONS, peak_factor=factor)
     assert is_wrong(predict(drawn))
     fitted, frames, start = split_frames(drawn)
-    model = fit_law(fitted, (), ())
+    model = fit_law(fitted)
     known = predict_frames(NestedModel("", model, FrameScatter(brightness_sd=0.01)), frames, start)
     # Twelve frames: their mean square scatters by 40 %.
     assert known.left_open == 0 and known.floor > 1.5
@@ -161,7 +152,7 @@ def test_the_score_of_frames_that_scatter_is_exact():
     """A model with rows and scatter of brightness has the −2 ln p of the multivariate normal distribution."""
     drawn = draw_frames(44, lay_out(exposures_s=(9e-4,), repeats=6), DrawnLight(), DrawnCamera())
     fitted, frames, start = split_frames(drawn)
-    model = fit_law(fitted, (), ())
+    model = fit_law(fitted)
     frames = frames.select(np.array([0]))
     start = start.select(np.array([0]))
     alone = predict_frames(NestedModel("", model), frames, start)

@@ -6,27 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from spotcheck.discrepancy.frames import FrameParameters
-from spotcheck.discrepancy.laws import LawFit, LawSearch, NamedLaw, find_laws, is_law
-from spotcheck.discrepancy.spot_measurements import SpotMeasurements
+from spotcheck.discrepancy.laws import LawFit, NamedLaw, find_laws, is_law
 from spotcheck.model.effects import vocabulary
-from spotcheck.model.forward import ForwardModel
 from tests.samples import drawn_frames as drawing
 from tests.samples.drawn_frames import Conditions, DrawnNumbers, draw_numbers, lay_out
-from tests.samples.models_of_frames import BASELINE, LONGEST_S, SCALES, SENSOR, design_of
+from tests.samples.models_of_frames import LONGEST_S, search_of
 
 LAWS = [effect for effect in vocabulary().values() if is_law(effect)]
 CONDITIONS = lay_out(repeats=3)
 # Standard deviation of ln peak from frame to frame beside the errors of the numbers.
 FRAME_SCATTER = 0.005
-
-
-def search_of(numbers: DrawnNumbers) -> LawSearch:
-    """Return the search for laws of drawn numbers."""
-    nowhere = np.zeros(len(numbers.log_peak))
-    spots = FrameParameters(numbers.log_peak, numbers.log_sigma, nowhere, nowhere)
-    measurements = SpotMeasurements(design_of(numbers.conditions), spots, numbers.covariance)
-    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES)
 
 
 def find_in(numbers: DrawnNumbers) -> tuple[list[NamedLaw], list[tuple[str, ...]], LawFit]:

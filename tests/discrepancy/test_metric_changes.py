@@ -7,12 +7,9 @@ import pytest
 
 from spotcheck.discrepancy.findings import MetricChange
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
-from spotcheck.discrepancy.laws import LawSearch
 from spotcheck.discrepancy.metric_changes import compare_metrics
 from spotcheck.discrepancy.named_scatter import NamedScatter
 from spotcheck.discrepancy.nested_models import ValidatedChain, validate_chain
-from spotcheck.discrepancy.normal_equations import invert_information
-from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.discrepancy.validation import FrameScatter, NestedModel, PixelGains, Prediction
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.forward import ForwardModel
@@ -33,10 +30,9 @@ from tests.samples.drawn_frames import (
 from tests.samples.models_of_frames import (
     BASELINE,
     DEPARTURES,
-    SCALES,
     SENSOR,
     apply_effect,
-    fit_drawn,
+    fit_law,
     frame_set,
     starting_spots,
     true_spots,
@@ -118,22 +114,12 @@ def test_the_true_model_has_the_metrics_of_the_frames(name: str):
 # The whole chain, fitted.
 
 
-def fit_law(fitted: DrawnFrames, *effects: AppliedEffect) -> ForwardModel:
-    """Return the model with a law that was fitted to frames."""
-    fit = fit_drawn(fitted, *effects)
-    count = 4 * len(fitted.x)
-    covariance = invert_information(fit.equations.information)[:count, :count]
-    measurements = SpotMeasurements(fit.model.design, fit.model.spots, covariance)
-    law = LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES).fit([]).law
-    return ForwardModel(BASELINE, SENSOR, law, fit.model.forward.effects)
-
-
 def compare_fitted(drawn: DrawnFrames) -> dict[str, MetricChange]:
     """Return the metrics on held-out frames of models that were fitted to the others: without and with a clip."""
     is_unseen = frame_set(drawn).held_out()
     fitted, unseen = drawn.select(np.flatnonzero(~is_unseen)), np.flatnonzero(is_unseen)
     frames = frame_set(drawn).select(unseen)
-    chain = [NestedModel("", fit_law(fitted)), NestedModel("saturation", fit_law(fitted, DEPARTURES["clip"].start))]
+    chain = [NestedModel("", fit_law(fitted)), NestedModel("saturation", fit_law(fitted, [DEPARTURES["clip"].start]))]
     validated = validate_chain(chain, frames, starting_spots(drawn).select(unseen))
     return {change.name: change for change in compare_metrics(validated, frames, ())}
 

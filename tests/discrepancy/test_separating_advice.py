@@ -17,14 +17,17 @@ from spotcheck.discrepancy.advice import (
 )
 from spotcheck.discrepancy.criteria import MIN_GAIN
 from spotcheck.discrepancy.findings import NamedEffect
-from spotcheck.discrepancy.frames import FrameParameters
-from spotcheck.discrepancy.laws import LawSearch
-from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.model.effects import vocabulary
-from spotcheck.model.forward import ForwardModel
 from tests.samples import drawn_frames as drawing
-from tests.samples.drawn_frames import Conditions, DrawnLight, DrawnNumbers, draw_frames, draw_numbers, lay_out
-from tests.samples.models_of_frames import BASELINE, LONGEST_S, SCALES, SENSOR, apply_effect, design_of, fit_drawn
+from tests.samples.drawn_frames import Conditions, DrawnLight, draw_frames, draw_numbers, lay_out
+from tests.samples.models_of_frames import (
+    LONGEST_S,
+    SCALES,
+    apply_effect,
+    design_of,
+    fit_drawn,
+    search_of,
+)
 
 EFFECTS = vocabulary()
 # Uniform light under the drawn spots [DN].
@@ -121,14 +124,6 @@ def ordered_by_exposure() -> Conditions:
     conditions = lay_out(angles_deg=(0.0, 60.0, 120.0), repeats=2)
     rank = np.argsort(np.argsort(np.log(conditions.exposure_s) + 1e-3 * np.arange(len(conditions))))
     return replace(conditions, order=rank / (len(conditions) - 1))
-
-
-def search_of(numbers: DrawnNumbers) -> LawSearch:
-    """Return the search for laws of drawn numbers."""
-    nowhere = np.zeros(len(numbers.log_peak))
-    spots = FrameParameters(numbers.log_peak, numbers.log_sigma, nowhere, nowhere)
-    measurements = SpotMeasurements(design_of(numbers.conditions), spots, numbers.covariance)
-    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES)
 
 
 def grow_by_power(conditions: Conditions) -> np.ndarray:

@@ -3,19 +3,22 @@
 It stands beside `drawn_frames`, which must not import the package.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from spotcheck.discrepancy.frames import Design, FrameParameters, FrameSet, select_pixels
 from spotcheck.discrepancy.joint_fit import FreeParameter, JointFit, JointModel, fit_jointly
+from spotcheck.discrepancy.laws import LawSearch
+from spotcheck.discrepancy.spot_measurements import SpotMeasurements, measure_spots
 from spotcheck.model.baseline import Baseline
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from spotcheck.sensor import SensorModel
 from tests.samples import drawn_frames as drawing
-from tests.samples.drawn_frames import Conditions, DrawnCamera, DrawnFrames, DrawnLight
+from tests.samples.drawn_frames import Conditions, DrawnCamera, DrawnFrames, DrawnLight, DrawnNumbers
 
 LONGEST_S, SHORTEST_S = max(drawing.EXPOSURES_S), min(drawing.EXPOSURES_S)
 SENSOR = SensorModel(drawing.GAIN, drawing.READ_NOISE_E, black_level_dn=drawing.BLACK, full_scale_dn=drawing.FULL_SCALE)
@@ -114,3 +117,20 @@ def fit_drawn(drawn: DrawnFrames, *effects: AppliedEffect) -> JointFit:
     """Fit drawn frames by a model with effects, from `starting_model`."""
     model = starting_model(drawn, *effects)
     return fit_jointly(model, select_pixels(frame_set(drawn), model.spots))
+
+
+def search_of(numbers: DrawnNumbers) -> LawSearch:
+    """Return the search for laws of drawn numbers."""
+    nowhere = np.zeros(len(numbers.log_peak))
+    spots = FrameParameters(numbers.log_peak, numbers.log_sigma, nowhere, nowhere)
+    measurements = SpotMeasurements(design_of(numbers.conditions), spots, numbers.covariance)
+    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES)
+
+
+def fit_law(fitted: DrawnFrames, effects: Sequence[AppliedEffect] = (), laws: Sequence[str] = ()) -> ForwardModel:
+    """Return the model with effects and laws, given by their names, that was fitted to frames."""
+    fit = fit_drawn(fitted, *effects)
+    assert fit.has_converged
+    search = LawSearch(measure_spots(fit), ForwardModel(BASELINE, fit.model.forward.sensor), SCALES)
+    found = search.fit([vocabulary()[name] for name in laws])
+    return ForwardModel(BASELINE, SENSOR, found.law, (*fit.model.forward.effects, *found.effects))
