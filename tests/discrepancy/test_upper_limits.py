@@ -5,6 +5,7 @@ A limit holds the truth in at least 95 % of the sets. Fewer than `fewest_covered
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,16 +14,13 @@ from scipy import stats
 from spotcheck.discrepancy import limits
 from spotcheck.discrepancy.findings import UpperLimit
 from spotcheck.discrepancy.fluctuations import measure_components
-from spotcheck.discrepancy.frames import FrameParameters, select_pixels
-from spotcheck.discrepancy.laws import LawSearch
+from spotcheck.discrepancy.frames import select_pixels
 from spotcheck.discrepancy.limits import find_limits, limit_laws, limit_mean_effects, limit_scatter, list_not_assessed
 from spotcheck.discrepancy.mixed_model import Interval
 from spotcheck.discrepancy.named_scatter import NamedScatter, deviation_of_fluctuation, name_scatter
 from spotcheck.discrepancy.shape_grid import ShapeGrid
-from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.model.effect import Need, Scope
 from spotcheck.model.effects import vocabulary
-from spotcheck.model.forward import ForwardModel
 from spotcheck.model.stage import Stage
 from tests.samples import drawn_frames as drawing
 from tests.samples import models_of_frames
@@ -30,7 +28,6 @@ from tests.samples.drawn_frames import (
     DrawnCamera,
     DrawnFrames,
     DrawnLight,
-    DrawnNumbers,
     draw_frames,
     draw_numbers,
     lay_out,
@@ -38,11 +35,11 @@ from tests.samples.drawn_frames import (
 from tests.samples.models_of_frames import (
     BASELINE,
     LONGEST_S,
-    SENSOR,
     apply_effect,
     design_of,
     fit_drawn,
     frame_set,
+    search_of,
     starting_spots,
 )
 
@@ -185,14 +182,6 @@ def test_misfit_widens_limits():
 # Laws and scatter
 
 
-def search_of(numbers: DrawnNumbers) -> LawSearch:
-    """Return the search for laws of drawn numbers."""
-    nowhere = np.zeros(len(numbers.log_peak))
-    spots = FrameParameters(numbers.log_peak, numbers.log_sigma, nowhere, nowhere)
-    measurements = SpotMeasurements(design_of(numbers.conditions), spots, numbers.covariance)
-    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), models_of_frames.SCALES)
-
-
 def follow_angle(strength: float) -> np.ndarray:
     """Return a factor [frame] on the brightness that follows the fibre angle, brightest at 20°."""
     return 1 + strength * np.cos(2 * (LAW_CONDITIONS.angle - np.deg2rad(20.0)))
@@ -263,7 +252,10 @@ def test_every_effect_has_a_limit_or_a_reason():
     """Each effect that is not named is limited or not assessed, and no end is infinite."""
     drawn = draw_frames(8, lay_out(angles_deg=(0.0, 45.0, 90.0), repeats=1), peak_factor=PEAK_FACTOR)
     fit, effects = fit_drawn(drawn), list(EFFECTS.values())
-    out = find_limits(fit, ["smear"], effects, SCALES, BASELINE, None, (), withdrawn=["nonlinearity"])
+    prepared = SimpleNamespace(scales=SCALES, setting=SimpleNamespace(baseline=BASELINE))
+    analysis = SimpleNamespace(prepared=prepared, selected=SimpleNamespace(fit=fit), search=None, named_scatter=(),
+                               withdrawn=["nonlinearity"])  # fmt: skip
+    out = find_limits(analysis, ["smear"], effects)
     not_assessed = [name for name, _ in list_not_assessed(effects, fit.model.design, BASELINE)]
     assert sorted([*not_assessed, "smear", *(limit.effect for limit in out)]) == sorted(EFFECTS)
     by_name = {limit.effect: limit for limit in out}

@@ -9,9 +9,8 @@ import pytest
 
 from spotcheck.discrepancy.extended_model import FinalModel, build_extended_model, fit_exposure_law, fit_final_model
 from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect, ParameterValue
-from spotcheck.discrepancy.frames import FrameParameters
 from spotcheck.discrepancy.laws import LawSearch
-from spotcheck.discrepancy.spot_measurements import SpotMeasurements, measure_spots
+from spotcheck.discrepancy.spot_measurements import measure_spots
 from spotcheck.errors import InputError
 from spotcheck.model.effect import AppliedEffect
 from spotcheck.model.effects import vocabulary
@@ -29,9 +28,9 @@ from tests.samples.models_of_frames import (
     DEPARTURES,
     SCALES,
     SENSOR,
-    design_of,
     fit_drawn,
     frame_set,
+    search_of,
     starting_spots,
     true_spots,
 )
@@ -78,7 +77,6 @@ class Case:
 
     drawn: DrawnFrames
     rows: list[Any]  # rows of the manifest
-    setting: Any
     dataset: Any
 
     def build(self, law: ExposureLaw | None, *effects: NamedEffect, light: LearnedLight | None = None) -> ExtendedModel:
@@ -86,7 +84,9 @@ class Case:
         baseline = replace(BASELINE, learned=None if light is None else light.shape)
         final = FinalModel(ForwardModel(baseline, SENSOR), true_spots(self.drawn), law)
         findings = Findings(effects=effects, light=light)
-        return build_extended_model(final, findings, frame_set(self.drawn), self.rows, self.setting, self.dataset)
+        setting = SimpleNamespace(baseline=BASELINE, sensor=SENSOR)
+        ready = SimpleNamespace(frames=frame_set(self.drawn), rows=self.rows, setting=setting)
+        return build_extended_model(final, findings, ready, self.dataset)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def case() -> Case:
     ]
     instrument = SimpleNamespace(conditions=(), crop_px=drawing.SIDE)
     dataset = SimpleNamespace(instrument=instrument, exposures=drawing.EXPOSURES_S)
-    return Case(draw_frames(1, conditions), rows, SimpleNamespace(baseline=BASELINE, sensor=SENSOR), dataset)
+    return Case(draw_frames(1, conditions), rows, dataset)
 
 
 LAW = ExposureLaw(drawing.P1, drawing.P2, drawing.PEAK)
@@ -159,19 +159,9 @@ def test_the_model_of_a_verdict_can_be_simulated(case: Case, tmp_path):
 # The law beside named laws.
 
 
-def search_of(factor: np.ndarray | float = 1.0) -> LawSearch:
-    """Return the search for laws of drawn numbers."""
-    conditions = lay_out()
-    drawn = draw_numbers(5, conditions, peak_factor=factor)
-    nowhere = np.zeros(len(conditions))
-    spots = FrameParameters(drawn.log_peak, drawn.log_sigma, nowhere, nowhere)
-    measurements = SpotMeasurements(design_of(conditions), spots, drawn.covariance)
-    return LawSearch(measurements, ForwardModel(BASELINE, SENSOR), SCALES)
-
-
 def test_the_law_beside_fitted_laws_is_that_of_their_fit():
     """With laws at their best values the law of the exposure is the one of the joint fit."""
-    search = search_of(1 + 0.05 * np.cos(2 * lay_out().angle))
+    search = search_of(draw_numbers(5, lay_out(), peak_factor=1 + 0.05 * np.cos(2 * lay_out().angle)))
     fit = search.fit([vocabulary()["angle_reflectance"]])
     law = fit_exposure_law(search, fit.effects)
     assert (law.p1, law.p2, law.peak_dn) == pytest.approx((fit.law.p1, fit.law.p2, fit.law.peak_dn), rel=1e-4)
@@ -179,7 +169,7 @@ def test_the_law_beside_fitted_laws_is_that_of_their_fit():
 
 def test_the_law_without_laws_is_the_true_one():
     """Errors are 5e-4 px, 4e-3 px and 2e-3 by design; limits are some 5 of them (false-alarm rate below 1e-5)."""
-    law = fit_exposure_law(search_of(), ())
+    law = fit_exposure_law(search_of(draw_numbers(5, lay_out())), ())
     assert law.p1 == pytest.approx(drawing.P1, abs=0.01)
     assert law.p2 == pytest.approx(drawing.P2, abs=0.1)
     assert law.peak_dn == pytest.approx(drawing.PEAK, rel=0.015)

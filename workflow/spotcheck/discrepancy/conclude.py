@@ -16,24 +16,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from spotcheck.discrepancy import findings
 from spotcheck.discrepancy.advice import PresentFits, advise
 from spotcheck.discrepancy.analysis import Analysis, measure_dark_slopes
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
-from spotcheck.discrepancy.detection import deviate_test, measure_rms, measure_unexplained, test_residuals
-from spotcheck.discrepancy.findings import (
-    Consistency,
-    Findings,
-    Gap,
-    LawShift,
-    LearnedLight,
-    NamedEffect,
-    ParameterValue,
-    ResidualTest,
-    SensorPull,
-    Unexplained,
-)
+from spotcheck.discrepancy.detection import deviate_test, measure_unexplained, test_residuals
+from spotcheck.discrepancy.evidence import is_negligible
 from spotcheck.discrepancy.joint_fit import JointFit
-from spotcheck.discrepancy.laws import LawFit, NamedLaw
+from spotcheck.discrepancy.laws import LawFit, LawParameter, NamedLaw
 from spotcheck.discrepancy.learned_light import describe_light
 from spotcheck.discrepancy.limits import find_limits, list_not_assessed
 from spotcheck.discrepancy.metric_changes import compare_metrics
@@ -43,7 +33,7 @@ from spotcheck.discrepancy.places import KnownScatter, find_places
 from spotcheck.discrepancy.residual_sums import sum_residuals
 from spotcheck.discrepancy.scatter import measure_dark_noise
 from spotcheck.discrepancy.validation import has_field
-from spotcheck.discrepancy.verdict import LEARNED_SHAPE
+from spotcheck.discrepancy.verdict import effect_of_light
 from spotcheck.io import progress
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep, Scope
 from spotcheck.model.stage import Stage
@@ -54,7 +44,7 @@ HELD_OUT = "held-out repeats"
 SENSOR_UNITS = {"gain_dn_per_e": "DN/e-", "black_level_dn": "DN"}
 
 
-def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[str] = ()) -> Findings:
+def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[str] = ()) -> findings.Findings:
     """Return the findings of an analysis of spot frames, with upper limits and advice, which are computed here.
 
     Parameters
@@ -76,29 +66,26 @@ def conclude(analysis: Analysis, effects: Sequence[Effect], remarks: Sequence[st
     names = {effect.name for effect in named}
     laws = None if analysis.laws is None else analysis.laws.fit
     present = PresentFits(fit, prepared.scales, analysis.search, laws)
-    baseline = prepared.setting.baseline
-    return Findings(
-        has_converged=has_converged(analysis),
+    return findings.Findings(
+        has_converged=fit.has_converged and (laws is None or laws.has_converged),
         detection=detection,
-        rms_of_peak=measure_rms(prepared.images),
+        rms_of_peak=measure_unexplained(prepared.images).size,
         places=find_places(prepared.images, black_dn, sums=sums),
         effects=named,
         light=light,
         sensor=_pulls(analysis),
-        limits=find_limits(
-            fit, names, effects, prepared.scales, baseline, analysis.search, analysis.named_scatter, analysis.withdrawn
-        ),
+        limits=find_limits(analysis, names, effects),
         law=measure_law_shift(analysis),
         unexplained=_unexplained(analysis, names, black_dn),
         gap=measure_gap(analysis),
         metrics=compare_metrics(validated, prepared.unseen, analysis.named_scatter) if validated else (),
         advice=advise(named, effects, present),
-        not_assessed=list_not_assessed(effects, prepared.frames.design, baseline),
+        not_assessed=list_not_assessed(effects, prepared.frames.design, prepared.setting.baseline),
         remarks=tuple(remarks),
     )
 
 
-def _further_tests(analysis: Analysis) -> list[ResidualTest]:
+def _further_tests(analysis: Analysis) -> list[findings.ResidualTest]:
     """Return tests of properties that residuals do not show, since the declared fit adapts to them.
 
     These are the read noise, the laws of the spots, and the scatter of frames and sites.
@@ -118,7 +105,7 @@ def _further_tests(analysis: Analysis) -> list[ResidualTest]:
     return tests
 
 
-def _learned_light(analysis: Analysis) -> LearnedLight | None:
+def _learned_light(analysis: Analysis) -> findings.LearnedLight | None:
     """Return the fitted free shape if it is significant and not negligible.
 
     None if the fit has the declared shape, or if named static shapes explain the free one.
@@ -127,18 +114,17 @@ def _learned_light(analysis: Analysis) -> LearnedLight | None:
     if fit.model.grid is None or analysis.shape is not None:
         return None
     light = describe_light(fit, analysis.prepared.setting.baseline)
-    negligible = LEARNED_SHAPE.parameters[0].negligible
-    least_power = negligible(analysis.prepared.scales) if callable(negligible) else negligible
-    is_clear = light.power > CLEAR_ERRORS * light.stderr and light.power > least_power
+    is_small = is_negligible(effect_of_light(light).applied, analysis.prepared.scales)
+    is_clear = light.power > CLEAR_ERRORS * light.stderr and not is_small
     return replace(light, gap_closed=_share(analysis, LIGHT_SHAPE)) if is_clear else None
 
 
-def _pulls(analysis: Analysis) -> tuple[SensorPull, ...]:
+def _pulls(analysis: Analysis) -> tuple[findings.SensorPull, ...]:
     """Return the parameters of the sensor that were fitted with the value of the data sheet as a prior."""
     fit = analysis.selected.fit
     errors = _errors_of(fit, analysis.selected.covariance)
     return tuple(
-        SensorPull(
+        findings.SensorPull(
             name=free.name,
             unit=SENSOR_UNITS[free.name],
             stated=free.stated,
@@ -151,7 +137,7 @@ def _pulls(analysis: Analysis) -> tuple[SensorPull, ...]:
     )
 
 
-def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) -> Unexplained:
+def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) -> findings.Unexplained:
     """Return the residual of the mean image about the final fit, beyond noise and named scatter.
 
     `names` are the named effects, `black_dn` the black level [DN].
@@ -174,7 +160,7 @@ def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) ->
     )
 
 
-def name_effects(analysis: Analysis, effects: Sequence[Effect]) -> tuple[NamedEffect, ...]:
+def name_effects(analysis: Analysis, effects: Sequence[Effect]) -> tuple[findings.NamedEffect, ...]:
     """Return all effects that the frames show, the one that closes most of the gap first.
 
     Effects with an unknown share of the gap come last. `effects` are those that were searched for.
@@ -186,13 +172,13 @@ def name_effects(analysis: Analysis, effects: Sequence[Effect]) -> tuple[NamedEf
     return tuple(sorted(named, key=lambda effect: -np.nan_to_num(effect.gap_closed, nan=-np.inf)))
 
 
-def measure_gap(analysis: Analysis) -> Gap | None:
+def measure_gap(analysis: Analysis) -> findings.Gap | None:
     """Return the gap on held-out frames under the declared and the extended model; None without held-out frames."""
     validated = analysis.validated
     if validated is None:
         return None
     before, after = validated.predictions[0], validated.predictions[-1]
-    return Gap(
+    return findings.Gap(
         before=before.gap,
         after=after.gap,
         noise_floor=after.floor,
@@ -204,38 +190,27 @@ def measure_gap(analysis: Analysis) -> Gap | None:
     )
 
 
-def measure_law_shift(analysis: Analysis) -> LawShift:
+def measure_law_shift(analysis: Analysis) -> findings.LawShift:
     """Return p1 and p2 [px] under the declared and under the extended model.
 
     All values are NaN without a search for laws, or with fewer than two exposures, which determine neither parameter.
     """
     # The columns of the factor "exposure" are its distinct exposures.
     if analysis.search is None or analysis.laws is None or analysis.search.factors["exposure"].shape[1] < 2:
-        return LawShift()
+        return findings.LawShift()
     measurements = replace(analysis.search.measurements, spots=analysis.prepared.declared.model.spots)
-    declared = analysis.search.with_measurements(measurements).fit([])
-    extended = analysis.laws.fit
-    return LawShift(_law_values(declared), _law_values(extended), _law_errors(extended))
+    declared, extended = analysis.search.with_measurements(measurements).fit([]), analysis.laws.fit
+    errors = dict(zip(extended.names, np.sqrt(np.diag(extended.covariance)), strict=True))
+    p1, p2 = LawParameter("", "p1"), LawParameter("", "p2")
+
+    def values_of(fit: LawFit) -> tuple[float, float]:
+        """Return p1 and p2; NaN if they were not fitted."""
+        return (fit.law.p1 if p1 in fit.names else np.nan, fit.law.p2 if p2 in fit.names else np.nan)
+
+    return findings.LawShift(values_of(declared), values_of(extended), (errors.get(p1, np.nan), errors.get(p2, np.nan)))
 
 
-def has_converged(analysis: Analysis) -> bool:
-    """Return whether the fits whose values are reported have converged."""
-    laws = analysis.laws
-    return analysis.selected.fit.has_converged and (laws is None or laws.fit.has_converged)
-
-
-def _law_values(fit: LawFit) -> tuple[float, float]:
-    """Return p1 and p2 [px]; NaN if they were not fitted."""
-    return (fit.law.p1 if ("", "p1") in fit.names else np.nan, fit.law.p2 if ("", "p2") in fit.names else np.nan)
-
-
-def _law_errors(fit: LawFit) -> tuple[float, float]:
-    """Return the standard errors of p1 and p2 [px]; NaN if they were not fitted."""
-    errors: dict[tuple[str, str], float] = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
-    return (float(errors.get(("", "p1"), np.nan)), float(errors.get(("", "p2"), np.nan)))
-
-
-def _effects_of_mean(analysis: Analysis) -> Iterator[NamedEffect]:
+def _effects_of_mean(analysis: Analysis) -> Iterator[findings.NamedEffect]:
     """Yield the effects of the mean image: those of the final joint fit."""
     fit, selected = analysis.selected.fit, analysis.selected
     errors = _errors_of(fit, selected.covariance)
@@ -250,20 +225,20 @@ def _effects_of_mean(analysis: Analysis) -> Iterator[NamedEffect]:
         for parameter in values.keys() & intervals.keys():
             if (name, parameter) not in errors:
                 interval = intervals[parameter]
-                values[parameter] = ParameterValue(interval.value, interval.stderr, values[parameter].unit)
-        yield NamedEffect(
+                values[parameter] = findings.ParameterValue(interval.value, interval.stderr, values[parameter].unit)
+        yield findings.NamedEffect(
             applied=applied,
             values=values,
             gain=test.gain,
             z=float(np.sqrt(test.wald)),
-            consistency=Consistency(test.heterogeneity, test.cells, test.limit, test.passes),
+            consistency=findings.Consistency(test.heterogeneity, test.cells, test.limit, test.passes),
             rivals=selected.rivals.get(name, {}),
             gap_closed=_share(analysis, name),
         )
 
 
-def _static_shapes(analysis: Analysis) -> Iterator[NamedEffect]:
-    """Yield the static shapes that together explain the free light shape, if there are such."""
+def _static_shapes(analysis: Analysis) -> Iterator[findings.NamedEffect]:
+    """Yield the static shapes that together explain the free light shape; none if the fit has the declared shape."""
     shape = analysis.shape
     if shape is None:
         return
@@ -272,7 +247,7 @@ def _static_shapes(analysis: Analysis) -> Iterator[NamedEffect]:
         stderr = shape.errors.get((name, strength), np.nan)
         distance = abs(applied.values[0] - applied.effect.vanishes_at)
         effect_errors = {parameter: shape.errors.get((name, parameter), np.nan) for parameter in applied.parameters}
-        yield NamedEffect(
+        yield findings.NamedEffect(
             applied=applied,
             values=_values(applied, effect_errors),
             gain=shape.drops[k],
@@ -282,13 +257,13 @@ def _static_shapes(analysis: Analysis) -> Iterator[NamedEffect]:
         )
 
 
-def _laws(analysis: Analysis) -> Iterator[NamedEffect]:
+def _laws(analysis: Analysis) -> Iterator[findings.NamedEffect]:
     """Yield the named laws of brightness and width."""
     if analysis.laws is None:
         return
     laws = [law for law in analysis.laws.laws if not law.reasons]
     for law in laws:
-        yield NamedEffect(
+        yield findings.NamedEffect(
             applied=law.applied,
             values=_values(law.applied, {name: interval.stderr for name, interval in law.intervals.items()}),
             gain=law.gain,
@@ -313,7 +288,7 @@ def _rival_laws(law: NamedLaw, laws: Sequence[NamedLaw], rivals: Mapping[tuple[s
     return excess_of
 
 
-def _scatter_effect(scatter: NamedScatter, analysis: Analysis, effects: Sequence[Effect]) -> NamedEffect:
+def _scatter_effect(scatter: NamedScatter, analysis: Analysis, effects: Sequence[Effect]) -> findings.NamedEffect:
     """Return the named effect of a scatter.
 
     If each site has one frame, scatter of frames cannot be distinguished from scatter of sites: effects of the latter
@@ -325,7 +300,7 @@ def _scatter_effect(scatter: NamedScatter, analysis: Analysis, effects: Sequence
     if design.sites == len(design.site):
         rivals |= {effect.name: 0.0 for effect in effects if effect is not applied.effect
                   and _scatters_alike(applied, effect)}  # fmt: skip
-    return NamedEffect(
+    return findings.NamedEffect(
         applied=applied,
         values=_values(applied, {name: interval.stderr for name, interval in scatter.intervals.items()}),
         # z is the root of the gain, or the variance in standard errors, which approximates it (Wald).
@@ -358,18 +333,16 @@ def _errors_of(fit: JointFit, covariance: np.ndarray) -> dict[tuple[str, str], f
     return {(free.effect, free.name): float(error) for free, error in zip(fit.model.free, errors, strict=True)}
 
 
-def _values(applied: AppliedEffect, errors: Mapping[str, float]) -> dict[str, ParameterValue]:
+def _values(applied: AppliedEffect, errors: Mapping[str, float]) -> dict[str, findings.ParameterValue]:
     """Return the reported parameters of an effect with their standard errors: all but the constants of its variant.
 
-    Angles are brought to 0 … 360°. Parameters without an error have NaN.
+    Parameters without an error have NaN.
     """
-    values = applied.parameters
+    values, parameters = applied.parameters, applied.effect.parameters_of(applied.variant)
     return {
-        parameter.name: ParameterValue(
-            float(values[parameter.name] % 360 if parameter.unit == "deg" else values[parameter.name]),
-            float(errors.get(parameter.name, np.nan)),
-            parameter.unit,
+        parameter.name: findings.ParameterValue(
+            values[parameter.name], errors.get(parameter.name, np.nan), parameter.unit
         )
-        for parameter in applied.effect.parameters_of(applied.variant)
+        for parameter in parameters
         if not parameter.is_variant_specific
     }

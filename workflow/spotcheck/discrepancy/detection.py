@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -60,8 +61,7 @@ FEWEST_SITES = 4
 OVERLAP_VARIANCE = 1 / 6
 
 
-@dataclass(frozen=True)
-class Trial:
+class Trial(NamedTuple):
     """One p-value within a test."""
 
     p_value: float  # of this trial alone
@@ -98,15 +98,12 @@ def test_residuals(
         Common p-value, and all tests with the smallest p-value first.
     """
     sums = sum_residuals(images) if sums is None else sums
-    trials_by_test = {cells.kind.name: _try_cells(cells, images, black_level_dn, scatter) for cells in sums.means}
+    trials_of = {cells.kind.name: _try_cells(cells, images, black_level_dn, scatter) for cells in sums.means}
     if scatter.is_empty:
-        second_moments = (
-            _try_cells(sums.noise, images, black_level_dn, scatter),
-            _try_neighbours(sums.neighbours),
-            _try_pattern(sums.pattern),
-        )
-        trials_by_test |= dict(zip(SECOND_MOMENTS, second_moments, strict=True))
-    tests = [*(_combine(name, trials) for name, trials in trials_by_test.items() if trials), *others]
+        noise, neighbours, pattern = SECOND_MOMENTS
+        trials_of[noise] = _try_cells(sums.noise, images, black_level_dn, scatter)
+        trials_of[neighbours], trials_of[pattern] = _try_neighbours(sums.neighbours), _try_pattern(sums.pattern)
+    tests = [*(_combine(name, trials) for name, trials in trials_of.items() if trials), *others]
     # Several p-values may be cut off at SMALLEST_P: a mean residual then tells more than a second moment.
     tests.sort(key=lambda test: (test.p_value, test.name in SECOND_MOMENTS, -abs(test.statistic)))
     p_value = correct_for_number(tests[0].p_value, len(tests)) if tests else 1.0
@@ -201,11 +198,6 @@ class BlockPower:
     noise_variance: float  # variance of the sum of squares by noise and known scatter [peak⁴]
     scatter_variance: float  # the same by known scatter alone [peak⁴]
     field_slopes: np.ndarray  # derivative of the expected squares by the relative variance of each field [field, peak²]
-
-
-def measure_rms(images: ResidualImages, scatter: KnownScatter = NO_SCATTER) -> float:
-    """Return the rms difference of mean image and model [peak], without noise and known scatter."""
-    return measure_unexplained(images, scatter).size
 
 
 def measure_unexplained(images: ResidualImages, scatter: KnownScatter = NO_SCATTER) -> Unexplained:

@@ -13,18 +13,20 @@ import numpy as np
 from scipy import optimize
 
 from spotcheck.dataset.folder import Dataset
-from spotcheck.dataset.manifest import Frame
-from spotcheck.discrepancy.analysis import Analysis, Setting
-from spotcheck.discrepancy.findings import Findings, LearnedLight, NamedEffect
+from spotcheck.discrepancy.analysis import Analysis
+from spotcheck.discrepancy.findings import Findings, NamedEffect
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, FrameSet
 from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.laws import LawSearch, is_law
+from spotcheck.discrepancy.ready_frames import ReadyFrames
 from spotcheck.discrepancy.spot_measurements import SpotMeasurements
 from spotcheck.discrepancy.starting_spots import fit_spots
+from spotcheck.discrepancy.verdict import LEARNED_SHAPE, effect_of_light
 from spotcheck.model.effect import AppliedEffect, EffectScales
 from spotcheck.model.effects import vocabulary
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light import ExposureLaw
+from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_file import ExtendedModel, Site, Spot, scales_of, site_of
 
 # Smallest peak [DN] and width [px] of a spot in the file: both must be positive, even if the spot was fitted badly.
@@ -130,14 +132,7 @@ def fit_exposure_law(search: LawSearch, laws: tuple[AppliedEffect, ...]) -> Expo
     return law_of(optimize.least_squares(whitened_residual, values, x_scale=np.maximum(np.abs(values), LEAST_SCALE)).x)
 
 
-def build_extended_model(
-    final: FinalModel,
-    findings: Findings,
-    frames: FrameSet,
-    rows: Sequence[Frame],
-    setting: Setting,
-    dataset: Dataset,
-) -> ExtendedModel:
+def build_extended_model(final: FinalModel, findings: Findings, ready: ReadyFrames, dataset: Dataset) -> ExtendedModel:
     """Return the content of model.yaml.
 
     Parameters
@@ -146,24 +141,19 @@ def build_extended_model(
         Result of `fit_final_model`.
     findings : Findings
         Findings from the frames.
-    frames : FrameSet
-        All frames.
-    rows : sequence of Frame
-        Row of the manifest of each frame.
-    setting : Setting
-        Properties of the instrument.
+    ready : ReadyFrames
+        All frames, their rows of the manifest, and the properties of the instrument.
     dataset : Dataset
         Dataset with the conditions and exposures of the frames.
     """
-    learned = final.forward.baseline.learned
-    lights = () if learned is None or findings.light is None else (learned,)
+    learned, light = final.forward.baseline.learned, findings.light
     effects = [with_reported_values(named) for named in findings.effects if named.applied.effect.stages]
-    if lights and findings.light is not None:
-        light_effect = _effect_of_light(findings.light)
-        effects += [] if light_effect is None else [light_effect]
-        lights = () if light_effect is None else lights
-    has_law = final.law is not None
-    sites = [site_of(row, dataset.instrument.conditions, has_law) for row in rows]
+    lights: tuple[LightShape, ...] = ()
+    # The light itself is stored in the file as an array, beside the effect that stands for it.
+    if learned is not None and light is not None and LEARNED_SHAPE.name in vocabulary():
+        lights, effects = (learned,), [*effects, effect_of_light(light).applied]
+    frames, has_law = ready.frames, final.law is not None
+    sites = [site_of(row, dataset.instrument.conditions, has_law) for row in ready.rows]
     without_effects = ExtendedModel(
         law=final.law,
         longest_s=frames.design.longest_s,
@@ -174,21 +164,9 @@ def build_extended_model(
         spots=_spots_of_sites(final.spots, sites, has_law),
         lights=lights,
     )
-    scales = scales_of(without_effects, setting.baseline, setting.sensor, dataset.instrument.crop_px, dataset.exposures)
+    baseline, sensor = ready.setting.baseline, ready.setting.sensor
+    scales = scales_of(without_effects, baseline, sensor, dataset.instrument.crop_px, dataset.exposures)
     return replace(without_effects, effects=tuple(_complete(applied, scales) for applied in effects))
-
-
-def _effect_of_light(light: LearnedLight) -> AppliedEffect | None:
-    """Return the effect that represents a learned light in the file; None if the vocabulary has none.
-
-    It is the effect without steps in the forward model: the light itself is stored in the file as an array.
-    """
-    effect = next((effect for effect in vocabulary().values() if not effect.stages), None)
-    if effect is None:
-        return None
-    # Its strength is the share of the light, its second parameter the azimuthal order that has most of it.
-    order = float(np.argmax(light.orders)) if len(light.orders) else 0.0
-    return AppliedEffect(effect, next(iter(effect.variants)), (float(np.clip(light.power, 0.0, 1.0)), order))
 
 
 def _complete(applied: AppliedEffect, scales: EffectScales) -> AppliedEffect:

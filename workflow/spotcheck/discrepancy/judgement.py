@@ -6,7 +6,7 @@ others.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from spotcheck.discrepancy.ready_frames import ReadyFrames, prepare_dataset
 from spotcheck.discrepancy.verdict import drop_fitted_values
 from spotcheck.io import progress, store
 from spotcheck.model import effects
+from spotcheck.model.light_shape import LightShape
 from spotcheck.model.model_writer import LightFile, model_text, no_model_text, write_light, write_no_light
 
 DECLARED_LIGHT = "the declared shape of the light stands"
@@ -74,8 +75,6 @@ def judge_spots(dataset: Dataset, crops: xr.Dataset, sensor: xr.Dataset, fits: x
         vocabulary = list(effects.vocabulary().values())
         analysis = analyse_frames(ready.frames, ready.spots, ready.setting, vocabulary)
         findings = conclude(analysis, vocabulary, ready.remarks)
-        if findings.reason:
-            return Judgement(findings)
         return Judgement(findings, ready, analysis, fit_final_model(analysis, _select_reliable(findings), ready.frames))
 
 
@@ -98,28 +97,28 @@ def write_model_files(dataset: Dataset, judgement: Judgement, status: str, alpha
     findings, ready, analysis, final = judgement.findings, judgement.ready, judgement.analysis, judgement.final
     code, inputs = files.code, files.inputs
     light = LightFile(files.light, dataset.name, code=code, inputs=inputs)
+    lights: tuple[LightShape, ...] = ()
     if ready is None or analysis is None or final is None:
         pictures = skipped_pictures(dataset, status, alpha, findings.reason)
-        store.write(pictures, files.pictures, code=code, inputs=inputs)
-        store.write_text(files.model, no_model_text(dataset.name, findings.reason), code=code, inputs=inputs)
-        write_no_light(DECLARED_LIGHT, light)
-        return
-    findings = _select_reliable(findings)
-    prepared, searched = analysis.prepared, np.flatnonzero(~ready.frames.held_out())
-    # Both models get the sensor of the extended model, since the read noise that the declared model fits is increased
-    # by its misfit.
-    models = {BEFORE: final.with_its_sensor(prepared.declared.model)}
-    if findings.effects or findings.light is not None:
-        models[AFTER] = final.of_frames(searched, analysis.selected.fit.model.design)
-    cells = [ready.indices[frame] for frame in searched]
-    pictures = draw_pictures(dataset, cells, prepared.frames, models, findings.detection, status=status, alpha=alpha)
+        text = no_model_text(dataset.name, findings.reason)
+    else:
+        findings = _select_reliable(findings)
+        prepared, searched = analysis.prepared, np.flatnonzero(~ready.frames.held_out())
+        # Both models get the sensor of the extended model, since the read noise that the declared model fits is
+        # increased by its misfit.
+        models = {BEFORE: final.with_its_sensor(prepared.declared.model)}
+        if findings.effects or findings.light is not None:
+            models[AFTER] = final.of_frames(searched, analysis.selected.fit.model.design)
+        cells = [ready.indices[frame] for frame in searched]
+        pictures = draw_pictures(
+            dataset, cells, prepared.frames, models, findings.detection, status=status, alpha=alpha
+        )
+        extended = build_extended_model(final, findings, ready, dataset)
+        text, lights = model_text(extended, dataset.name, status), extended.lights
     store.write(pictures, files.pictures, code=code, inputs=inputs)
-    extended = build_extended_model(final, findings, ready.frames, ready.rows, ready.setting, dataset)
-    store.write_text(files.model, model_text(extended, dataset.name, status), code=code, inputs=inputs)
-    if extended.lights and findings.light is not None:
-        attributes = summarize_shape(findings.light)
-        light = LightFile(files.light, dataset.name, code=code, inputs=inputs, attributes=attributes)
-        write_light(extended.lights, light)
+    store.write_text(files.model, text, code=code, inputs=inputs)
+    if lights and findings.light is not None:
+        write_light(lights, replace(light, attributes=summarize_shape(findings.light)))
     else:
         write_no_light(DECLARED_LIGHT, light)
 

@@ -21,6 +21,7 @@ from itertools import chain
 import numpy as np
 from scipy import stats
 
+from spotcheck.discrepancy.analysis import Analysis
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z, MISFIT_INFLATION, PRESENT_Z
 from spotcheck.discrepancy.evidence import LEAST_CELL_SHARE, is_negligible
@@ -78,37 +79,19 @@ NOT_FROM_ZERO = "its size does not count from 0"
 BEYOND_RANGE = "these frames allow any strength"
 
 
-def find_limits(
-    fit: JointFit,
-    named: Collection[str],
-    effects: Sequence[Effect],
-    scales: EffectScales,
-    baseline: Baseline,
-    laws: LawSearch | None,
-    scatter: Sequence[NamedScatter],
-    withdrawn: Collection[str] = (),
-) -> tuple[UpperLimit, ...]:
+def find_limits(analysis: Analysis, named: Collection[str], effects: Sequence[Effect]) -> tuple[UpperLimit, ...]:
     """Return the limits of all effects that are not named and that the design can show.
 
     Parameters
     ----------
-    fit : JointFit
-        Final fit of the mean image to all pixels.
+    analysis : Analysis
+        The `prepared` frames, the final fit of the mean image to all pixels (`selected`), the `search` for laws in its
+        spots, and the random effects (`named_scatter`). Held-out frames refuted the effects that are `withdrawn`. If
+        the declared model leaves the peak of each frame free, no law can be tested (None), and laws have no limit.
     named : collection of str
         Names of the effects that the verdict names.
     effects : sequence of Effect
         Effects that were searched for.
-    scales : EffectScales
-        Scales of the dataset.
-    baseline : Baseline
-        Declared model of the light.
-    laws : LawSearch, optional
-        Search for laws in the spots of the final fit. None if the declared model leaves the peak of each frame free, so
-        that no law can be tested; laws then have no limit.
-    scatter : sequence of NamedScatter
-        Random effects with the interval of their size, whether the verdict names them or not.
-    withdrawn : collection of str
-        Names of effects that the search found and held-out frames refuted.
 
     Returns
     -------
@@ -116,18 +99,23 @@ def find_limits(
         A limit for each of these effects, in the order of `effects`. For an effect without a limit `low` and `high` are
         NaN, and `reason` says why.
     """
-    not_assessed = {name for name, _ in list_not_assessed(effects, fit.model.design, baseline)}
+    fit, scales = analysis.selected.fit, analysis.prepared.scales
+    not_assessed = {
+        name for name, _ in list_not_assessed(effects, fit.model.design, analysis.prepared.setting.baseline)
+    }
     without_limit = {*named, *not_assessed, *fit.model.effect_names}
     limited_effects = [effect for effect in effects if effect.name not in without_limit]
     mean_effects = [effect for effect in limited_effects if is_limited_by_pixels(effect, fit.model)]
     limits = limit_mean_effects(fit, mean_effects, scales)
-    if laws is not None:
+    if analysis.search is not None:
         named_laws = [effect for effect in effects if effect.name in named and is_law(effect)]
-        limits |= limit_laws(laws, named_laws, [effect for effect in limited_effects if is_law(effect)])
-    for random_effect in scatter:
+        limits |= limit_laws(analysis.search, named_laws, [effect for effect in limited_effects if is_law(effect)])
+    for random_effect in analysis.named_scatter:
         limits[random_effect.applied.effect.name] = limit_scatter(random_effect, len(fit.model.spots.x), scales)
     upper_limits = [limits.get(effect.name) or explain_missing(effect, fit.model) for effect in limited_effects]
-    return tuple(replace(limit, reason=NOT_CONFIRMED) if limit.effect in withdrawn else limit for limit in upper_limits)
+    return tuple(
+        replace(limit, reason=NOT_CONFIRMED) if limit.effect in analysis.withdrawn else limit for limit in upper_limits
+    )
 
 
 def list_not_assessed(effects: Sequence[Effect], design: Design, baseline: Baseline) -> tuple[tuple[str, str], ...]:
@@ -159,8 +147,7 @@ def explain_missing(effect: Effect, model: JointModel) -> UpperLimit:
         reason = NO_SIZE
     else:
         reason = NOT_SHOWN if changes_mean_image(effect) or is_law(effect) else NOT_MEASURED
-    strength = effect.parameters[0]
-    return UpperLimit(effect.name, strength.name, strength.unit, reason)
+    return UpperLimit.of_effect(effect, reason)
 
 
 def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -> UpperLimit:
@@ -197,7 +184,7 @@ def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -
     # 4**power as many frames.
     powers = [trial.power for trial in sides if np.isfinite(trial.power) and not trial.is_linear]
     more_frames = None if remark else int(np.ceil((4 ** max(powers, default=1.0) - 1) * frames))
-    return UpperLimit(effect.name, strength.name, strength.unit, reason, low, high, more_frames, remark)
+    return UpperLimit.of_effect(effect, reason, low, high, more_frames, remark)
 
 
 # Effects of the mean image
@@ -382,7 +369,7 @@ def limit_scatter(random_effect: NamedScatter, frames: int, scales: EffectScales
     strength = effect.parameters[0]
     interval = random_effect.intervals[strength.name]
     if not (np.isfinite(interval.stderr) and interval.stderr > 0 and interval.high < effect.bounds(scales)[0, 1]):
-        return UpperLimit(effect.name, strength.name, strength.unit, NOT_MEASURED)
+        return UpperLimit.of_effect(effect, NOT_MEASURED)
     largest = random_effect.applied.with_value(strength.name, interval.high)
     is_small = random_effect.z > MIN_Z and is_negligible(largest, scales)
     steps = [step for step in effect.variants[largest.variant] if isinstance(step, RandomStep)]
@@ -394,4 +381,4 @@ def limit_scatter(random_effect: NamedScatter, frames: int, scales: EffectScales
     # 1/frames for a field of the sensor, which pairs of frames share.
     more_frames = None if remark else ((4 if is_shared else 16) - 1) * frames
     reason = TOO_SMALL if is_small else NOT_FOUND
-    return UpperLimit(effect.name, strength.name, strength.unit, reason, np.nan, interval.high, more_frames, remark)
+    return UpperLimit.of_effect(effect, reason, np.nan, interval.high, more_frames, remark)

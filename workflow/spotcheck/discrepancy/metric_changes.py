@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
@@ -80,7 +81,7 @@ class FrameSimulator:
         readings = np.empty(frames.readings.shape)
         # Frames of a site come one after the other, since the forward model keeps what it has drawn for a site.
         for frame in np.argsort(frames.design.site, kind="stable"):
-            forward = replace(self.forward, effects=(*self.forward.effects, *self._make_gains_effect(frame, gains)))
+            forward = self._with_gains(self.forward.effects, frame, gains)
             streams = RandomStreams(seed, int(frame), int(frames.design.site[frame]))
             readings[frame] = forward.sample(self.conditions(frame), streams)
         return np.where(np.isfinite(frames.readings), readings, np.nan)
@@ -89,16 +90,15 @@ class FrameSimulator:
         """Return the mean image of each frame [frame, row, column] in DN, without random effects."""
         images, effects = [], tuple(filter(acts_on_mean, self.forward.effects))
         for frame in range(len(self.frames)):
-            forward = replace(self.forward, effects=(*effects, *self._make_gains_effect(frame, self.gains)))
-            images.append(forward.expected(self.conditions(frame)).mean)
+            images.append(self._with_gains(effects, frame, self.gains).expected(self.conditions(frame)).mean)
         return np.stack(images)
 
-    def _make_gains_effect(self, frame: int, gains: PixelGains | None) -> tuple[AppliedEffect, ...]:
-        """Return the gains of the pixels under a frame's crop as an effect, in a tuple of one; empty without gains."""
-        if gains is None:
-            return ()
-        top, left = int(self.frames.top[frame]), int(self.frames.left[frame])
-        return (_apply_gains(gains.under_crop(top, left, self.frames.readings.shape[1:])[0]),)
+    def _with_gains(self, effects: tuple[AppliedEffect, ...], frame: int, gains: PixelGains | None) -> ForwardModel:
+        """Return the model with some effects, and with the gains of the pixels under the crop of a frame as another."""
+        if gains is not None:
+            top, left = int(self.frames.top[frame]), int(self.frames.left[frame])
+            effects = (*effects, _apply_gains(gains.under_crop(top, left, self.frames.readings.shape[1:])[0]))
+        return replace(self.forward, effects=effects)
 
 
 def _apply_gains(gains: np.ndarray) -> AppliedEffect:
@@ -109,8 +109,7 @@ def _apply_gains(gains: np.ndarray) -> AppliedEffect:
         return light_dn * np.maximum(1 + gains, 0.0)
 
     steps = (Step(Stage.PIXEL_GAIN, multiply_light),)
-    effect = Effect("gains", "gains of pixels", (), {Only.ONLY: steps}, starts=lambda scales: [()])
-    return AppliedEffect(effect, Only.ONLY, ())
+    return Effect("gains", "gains of pixels", (), {Only.ONLY: steps}, starts=lambda scales: [()]).apply({})
 
 
 def compare_metrics(
@@ -161,8 +160,11 @@ def compare_metrics(
         values = np.array([table[name] for table in tables])
         has_value = np.isfinite(values).all(axis=0)
         if has_value.any():
-            means = _mean_over_conditions(values[:, has_value], frames.design.condition[has_value])
-            changes.append(MetricChange(name, unit, *(float(mean) for mean in means)))
+            conditions = [
+                has_value & (frames.design.condition == k) for k in np.unique(frames.design.condition[has_value])
+            ]
+            means = np.mean([values[:, members].mean(axis=1) for members in conditions], axis=0)
+            changes.append(MetricChange(name, unit, *means.tolist()))
     return tuple(changes)
 
 
@@ -224,21 +226,9 @@ def _psnr_of_repeats(frames: FrameSet, means: np.ndarray, full_scale_dn: float) 
     design, readings = frames.design, frames.readings
     keys = np.stack([design.condition, design.angle], axis=1)
     total, count = np.zeros(len(frames)), np.zeros(len(frames))
-    for first in range(len(frames)):
-        for second in np.flatnonzero((keys == keys[first]).all(axis=1)):
-            if second > first:
-                corrected = readings[second] - means[second] + means[first]
-                ratio = crop_metrics.psnr(readings[first], corrected, full_scale_dn)
-                pair = [first, int(second)]
-                total[pair] += ratio
-                count[pair] += 1
+    for first, second in combinations(range(len(frames)), 2):
+        if (keys[first] == keys[second]).all():
+            corrected = readings[second] - means[second] + means[first]
+            total[[first, second]] += crop_metrics.psnr(readings[first], corrected, full_scale_dn)
+            count[[first, second]] += 1
     return np.divide(total, count, out=np.full(len(frames), np.nan), where=count > 0)
-
-
-def _mean_over_conditions(values: np.ndarray, condition: np.ndarray) -> np.ndarray:
-    """Return the mean over conditions of the means over their frames [source], of values [source, frame].
-
-    `condition` is the number of the condition [frame].
-    """
-    numbers = np.unique(condition)
-    return np.mean([values[:, condition == number].mean(axis=1) for number in numbers], axis=0)

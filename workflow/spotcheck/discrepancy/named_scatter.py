@@ -89,11 +89,12 @@ def name_scatter(
     for effect in effects:
         for variant, steps in effect.variants.items():
             random_steps = [step for step in steps if isinstance(step, RandomStep)]
-            is_measured = all((step.stage, step.scope) in deviations for step in random_steps)
-            if random_steps and len(random_steps) == len(steps) and is_measured:
-                named_effects.append(_name_steps(effect, variant, random_steps, deviations, hot_pixels, scales))
+            measured = [deviations[key] for step in random_steps if (key := (step.stage, step.scope)) in deviations]
+            if random_steps and len(steps) == len(random_steps) == len(measured):
+                named = _name_steps(effect, variant, dict(zip(random_steps, measured, strict=True)), hot_pixels, scales)
+                named_effects += [named] if named else []
                 break
-    return _mark_rivals([named for named in named_effects if named is not None])
+    return _mark_rivals(named_effects)
 
 
 def _mark_rivals(effects: Sequence[NamedScatter]) -> list[NamedScatter]:
@@ -115,28 +116,22 @@ def _mark_rivals(effects: Sequence[NamedScatter]) -> list[NamedScatter]:
 
 
 def _name_steps(
-    effect: Effect,
-    variant: Enum,
-    steps: Sequence[RandomStep],
-    deviations: Mapping[tuple[Stage, Scope], Deviation],
-    hot_pixels: int,
-    scales: EffectScales,
+    effect: Effect, variant: Enum, measured: Mapping[RandomStep, Deviation], hot_pixels: int, scales: EffectScales
 ) -> NamedScatter | None:
     """Return an effect with the measured values of its random steps; None if a parameter has no finite value.
 
-    `steps` are the random steps of the variant; other arguments are those of `name_scatter`. The step with the largest
-    z decides on its reasons.
+    `measured` has the steps of the variant; other arguments are those of `name_scatter`. The step with the largest z
+    decides on its reasons.
     """
     intervals: dict[str, Interval] = {}
-    measured = [deviations[step.stage, step.scope] for step in steps]
-    for step, deviation in zip(steps, measured, strict=True):
+    for step, deviation in measured.items():
         name = NamedScatter.parameter_of(step)
         intervals[name] = deviation.interval
         for extra in set(keyword_names_of(step.draw)) - {name}:
             intervals[extra] = Interval.around(deviation.grain_px, np.nan)
-    strongest = max(measured, key=lambda deviation: deviation.z)
+    strongest = max(measured.values(), key=lambda deviation: deviation.z)
     # In this order a z of NaN counts as 0.
-    z = max(0.0, *(deviation.z for deviation in measured))
+    z = max(0.0, *(deviation.z for deviation in measured.values()))
     reasons = list(strongest.reasons) + (["z below the least"] if not z >= MIN_Z else [])
     # A parameter that no step has is a number of hot pixels, with the error of a count.
     counts = [p.name for p in effect.parameters_of(variant) if p.name not in intervals]
@@ -145,22 +140,15 @@ def _name_steps(
         return None
     values = tuple(intervals[p.name].value if p.name in intervals else np.nan for p in effect.parameters)
     applied = AppliedEffect(effect, variant, values)
-    if is_negligible_scatter(applied, scales):
+    # Parameters without a negligible size do not count.
+    sizes = _negligible_sizes(effect, scales)
+    is_below = [value < size for value, size in zip(values, sizes, strict=True) if size > 0]
+    if is_below and all(is_below):
         reasons.append("negligible")
     if counts and hot_pixels >= FEWEST_HOT:
         # Hot pixels were found one by one: their number alone is evidence.
         reasons = []
     return NamedScatter(applied, intervals, z, tuple(reasons), strongest.grain_px)
-
-
-def is_negligible_scatter(applied: AppliedEffect, scales: EffectScales) -> bool:
-    """Return whether all values of an effect are below the sizes that its parameters declare negligible.
-
-    Parameters without such a size do not count; False if there are no others.
-    """
-    limits = _negligible_sizes(applied.effect, scales)
-    is_below = [value < limit for value, limit in zip(applied.values, limits, strict=True) if limit > 0]
-    return bool(is_below) and all(is_below)
 
 
 def _negligible_sizes(effect: Effect, scales: EffectScales) -> list[float]:

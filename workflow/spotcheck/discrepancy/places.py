@@ -73,10 +73,7 @@ class StrongestCell:
 
 
 def find_places(
-    images: ResidualImages,
-    black_level_dn: float = 0.0,
-    scatter: KnownScatter = NO_SCATTER,
-    sums: ResidualSums | None = None,
+    images: ResidualImages, black_level_dn: float = 0.0, sums: ResidualSums | None = None
 ) -> tuple[Place, ...]:
     """Return the places that disagree with the model most, the strongest first.
 
@@ -89,8 +86,6 @@ def find_places(
         Residuals of a fit.
     black_level_dn : float
         Black level [DN], which is added to the light where grey levels are given as readings.
-    scatter : KnownScatter
-        Scatter that the weights of the images do not contain.
     sums : ResidualSums or None
         Result of `sum_residuals` for the images; None to compute it.
     """
@@ -98,7 +93,7 @@ def find_places(
     places: dict[str, Place] = {}
     for cells in sums.means:
         family = "spot" if cells.kind.name in SPOT_KINDS else cells.kind.name
-        strongest_of_divisions = list(strongest_cells(cells, images.design, scatter))
+        strongest_of_divisions = list(strongest_cells(cells, images.design))
         for strongest in strongest_of_divisions:
             tests = strongest.count * len(strongest_of_divisions) * len(sums.means)
             p_value = correct_for_number(two_sided(strongest.z), tests)
