@@ -173,7 +173,7 @@ def test_expected_maximum(name):
 
 
 def test_linear_sensor_without_clips():
-    """Mean and variance are those of the sum of Poisson, normal and rounding error.
+    """Eq. 23, H = S + B + W: mean and variance are those of the sum of Poisson, normal and rounding error.
 
     With a read noise of 4 DN, rounding adds the variance 1/12 exactly (Sheppard): its dependence on the signal is of
     the size exp(−2π² 16) = 1e-137. A probability of 1e-17 is left out 8.5 standard deviations, up to
