@@ -1,12 +1,13 @@
 """Rival worlds of the paper's frames: fit, score, recovery and predictions, stored in data/rival_worlds.json.
 
 `python -m tests.validation.rivals [--realisations 200] [--sets 20] [--seed 1]`, about an hour and a half of one core
-in all. The seed is that of all random numbers and is not searched. Table and figures go to results/rivals; `--draw`
-writes only these.
+in all. A call that was stopped continues. The seed is that of all random numbers and is not searched. Table and figures
+go to results/rivals; `--draw` writes only these.
 """
 
 import argparse
 import json
+import pickle
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from functools import partial
@@ -14,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from spotcheck.io.provenance import code_digest
 from spotcheck.paper.rivals import inference, predictions, summaries, worlds
-from spotcheck.report.figures import style
+from spotcheck.report.figures import rivals, style
 from tests.samples.small_datasets import ROOT
-from tests.validation.rival_figures import DRAWINGS, MISSED_P
 
 STORED = ROOT / "data" / "rival_worlds.json"
 FOLDER = ROOT / "results" / "rivals"
@@ -43,7 +44,7 @@ def compute(args: argparse.Namespace) -> dict[str, Any]:
     emulators, fitted = {}, {}
     with ProcessPoolExecutor(2) as pool:
         for world in worlds.WORLDS:
-            emulators[world.name], fitted[world.name] = fit_world(world, args, pool)
+            emulators[world.name], fitted[world.name] = load_or_fit(world, args, pool)
             print(f"{world.name}: log score {fitted[world.name]['log_score']:.1f}", flush=True)
         sets = {world.name: draw_sets(world, fitted[world.name]["point"], args, pool) for world in worlds.WORLDS}
     recovery = {name: classify(drawn, emulators) for name, drawn in sets.items()}
@@ -63,7 +64,7 @@ def compute(args: argparse.Namespace) -> dict[str, Any]:
 
 def publish(record: dict[str, Any]) -> None:
     """Write figures and table of a stored result."""
-    for name, draw in DRAWINGS:
+    for name, draw in rivals.DRAWINGS:
         with style.house_style():
             style.save_drawing(draw(record), FOLDER, name)
     (FOLDER / "worlds.md").write_text(format_table(record), encoding="utf-8")
@@ -84,7 +85,7 @@ def format_table(record: dict[str, Any]) -> str:
         named, unknown = counts.pop(name), counts.pop("cannot tell")
         lines.append(
             f"| {name}: {world['title']} | {world['chi2_fitted']:.0f} | {world['log_score']:.0f}"
-            f" | {sum(p < MISSED_P for p in p_values)} | {world['photon_gain']:.3g}"
+            f" | {sum(p < rivals.MISSED_P for p in p_values)} | {world['photon_gain']:.3g}"
             f" | {named}, {sum(counts.values())}, {unknown} |"
         )
     return "\n".join(lines) + "\n"
@@ -94,6 +95,23 @@ def simulate(world: worlds.World, point: np.ndarray, seed: tuple[int, ...]) -> n
     """Return the summaries of one realisation of a world at a point of the unit cube."""
     readings = world.draw(world.values(point), np.random.default_rng(seed))
     return summaries.summarise_readings(readings)
+
+
+def load_or_fit(
+    world: worlds.World, args: argparse.Namespace, pool: ProcessPoolExecutor
+) -> tuple[inference.Emulator, dict[str, Any]]:
+    """Return the result of `fit_world`, from an earlier call of the same code and options if there is one.
+
+    It is stored in results/rivals, so that a run that was stopped continues.
+    """
+    code = code_digest("spotcheck.paper.rivals.predictions", "spotcheck.paper.rivals.inference")
+    path = FOLDER / f"{world.name} {code} {args.realisations} {args.seed}.pickle"
+    if path.is_file():
+        return pickle.loads(path.read_bytes())
+    result = fit_world(world, args, pool)
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(pickle.dumps(result))
+    return result
 
 
 def fit_world(
@@ -119,7 +137,7 @@ def fit_world(
         "point": best.point.tolist(),
         "values": values,
         "units": {parameter.name: parameter.unit for parameter in world.parameters},
-        "at_edge": [p.name for p, stopped in zip(world.parameters, best.at_edge, strict=True) if stopped],
+        "has_converged": emulator.has_converged,
         "chi2_fitted": inference.chi2_of_fitted(at_best, summaries.PRINTED, best.point),
         "log_score": inference.score_held_out(at_best, summaries.PRINTED, best.point),
         "mean": realisations.mean(axis=0).tolist(),

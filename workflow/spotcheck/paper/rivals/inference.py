@@ -5,7 +5,8 @@ paper prints about its frames, such as the largest amplitude. A realisation is t
 simulation of all frames. A point of the unit cube gives each parameter a value between its limits.
 
 A realisation costs a second. Summaries are therefore emulated: the logarithm of each is a quadratic function of the
-parameters, with the covariance of realisations. The emulator is refined around its optimum.
+parameters, with the covariance of realisations. The emulator is refined around the best of several points, of which its
+optimum is one. Realisations at each of them decide, since a quadratic function over the whole cube may mislead.
 """
 
 from collections.abc import Callable
@@ -22,9 +23,12 @@ from spotcheck.paper.rivals.worlds import World
 # ASSUME: 3 % for p1, the width at 500 µs and means, 10 % for all else, independently for each summary.
 DISCREPANCY = np.where([summary.is_mean for summary in SUMMARIES], 0.03, 0.1)
 # Rounds of the emulator: realisations, and half the side of the box in which they lie, as a part of the range. The last
-# one is repeated around each new optimum until it lies inside the box, up to this number of rounds in all.
+# one is repeated around each new best point until the emulator's optimum is the best and lies inside the box, up to
+# this number of rounds in all.
 ROUNDS = ((160, 0.5), (120, 0.25), (120, 0.15))
 MAX_ROUNDS = 8
+# Realisations at each point that is compared: the mean of a summary then has a quarter of its standard deviation.
+TRIALS = 16
 # Distance from the edge of the box, as a part of half its side, below which a parameter counts as stopped by the edge.
 EDGE = 1e-3
 # Starts of the search for the best parameters.
@@ -51,6 +55,7 @@ class Emulator:
     half: np.ndarray  # half the sides of the box [parameter]
     coefficients: np.ndarray  # coefficients of the quadratic terms [term, summary]
     covariance: np.ndarray  # covariance of a realisation about the functions [summary, summary]
+    has_converged: bool = False  # whether realisations confirm that the optimum is the best point and inside the box
 
     def mean(self, point: np.ndarray) -> np.ndarray:
         """Return the mean of the transformed summaries at points of the unit cube [..., parameter]."""
@@ -116,11 +121,18 @@ def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed
         drawn = low + (high - low) * cube
         points, summaries = np.concatenate([points, drawn]), np.concatenate([summaries, simulate(drawn, number)])
         is_near = np.isfinite(summaries).all(axis=1) & (np.abs(points - centre) <= 1.5 * half).all(axis=1)
-        emulator = _fit_emulator(points[is_near], transform(summaries[is_near]), centre, half)
+        near, values = points[is_near], transform(summaries[is_near])
+        emulator = _fit_emulator(near, values, centre, half)
         best = fit_world(emulator, observed)
-        if number >= len(ROUNDS) - 1 and not best.at_edge.any():
-            break
-        centre = best.point
+        # Points that may be the best: the emulator's optimum, the nearest realisation, and the one of the round before.
+        nearest = near[np.argmin([_chi2_of_residual(emulator, transform(observed) - row) for row in values])]
+        candidates = np.array([best.point, nearest, centre])
+        trials = simulate(np.repeat(candidates, TRIALS, axis=0), MAX_ROUNDS + number)
+        means = np.nanmean(transform(trials).reshape(len(candidates), TRIALS, -1), axis=1)
+        first = int(np.argmin([_chi2_of_residual(emulator, transform(observed) - mean) for mean in means]))
+        if number >= len(ROUNDS) - 1 and first == 0 and not best.at_edge.any():
+            return replace(emulator, has_converged=True)
+        centre = candidates[first]
     assert emulator is not None
     return emulator
 
@@ -177,8 +189,13 @@ def fit_world(emulator: Emulator, observed: np.ndarray) -> WorldFit:
 
 def chi2_of_fitted(emulator: Emulator, observed: np.ndarray, point: np.ndarray) -> float:
     """Return χ² of the fitted ones among observed summaries [summary], at a point [parameter] of the unit cube."""
-    residual = (transform(observed) - emulator.mean(point))[IS_FITTED]
-    return float(residual @ np.linalg.solve(emulator.covariance[np.ix_(IS_FITTED, IS_FITTED)], residual))
+    return _chi2_of_residual(emulator, transform(observed) - emulator.mean(point))
+
+
+def _chi2_of_residual(emulator: Emulator, residual: np.ndarray) -> float:
+    """Return χ² of the fitted ones among residuals of logarithms [summary]."""
+    fitted = residual[IS_FITTED]
+    return float(fitted @ np.linalg.solve(emulator.covariance[np.ix_(IS_FITTED, IS_FITTED)], fitted))
 
 
 def score_held_out(emulator: Emulator, observed: np.ndarray, point: np.ndarray) -> float:
