@@ -179,9 +179,9 @@ def _find_cautions(image: ImageResult) -> Iterator[Caution]:
     if moments.is_measured and not moments.has_converged:
         yield Caution("D4σ does not converge: it keeps changing with its area of integration")
     if excess := image.width_excess:
-        wide = "light in the wings, a second spot or an uneven background: D4σ exceeds 4σ of the fit by"
-        narrow = "flanks steeper than those of a Gaussian: D4σ is below 4σ of the fit by"
-        yield Caution(wide if excess > 0 else narrow, f"{100 * abs(excess):.2g} %")
+        reason_if_larger = "light in the wings, a second spot or an uneven background: D4σ exceeds 4σ of the fit by"
+        reason_if_smaller = "flanks steeper than those of a Gaussian: D4σ is below 4σ of the fit by"
+        yield Caution(reason_if_larger if excess > 0 else reason_if_smaller, f"{100 * abs(excess):.2g} %")
     if image.outlier_text:
         yield Caution(image.outlier_text)
 

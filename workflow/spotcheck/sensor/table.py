@@ -131,7 +131,7 @@ class ReadingTable:
     ) -> ReadingTable:
         """Return the table of readings whose light L is multiplied by a random factor; it is over L.
 
-        Where readings clip, the factor changes their mean too, and not only their variance. This table is constant
+        The factor changes the mean of readings that clip, and not only their variance. This table is constant
         beyond its last node. It must therefore reach the brightest light, the largest factor times L plus
         `pedestal_dn`, or saturation.
 
