@@ -66,7 +66,7 @@ FAULTS = (
     Fault("export", "signal = image - sensor.black_level_dn - maps.offset_dn", "signal = image - sensor.black_level_dn + maps.offset_dn"),
     Fault("export", "ratio = previous.value / gain", "ratio = gain / previous.value"),
     Fault("paper", "return sensor_width(results) / magnification(results)", "return sensor_width(results) * magnification(results)"),
-    Fault("paper", "residual = (transform(observed) - emulator.mean(point))[IS_FITTED]", "residual = (transform(observed) + emulator.mean(point))[IS_FITTED]"),
+    Fault("paper", "_chi2_of_residual(emulator, transform(observed) - emulator.mean(point))", "_chi2_of_residual(emulator, transform(observed) + emulator.mean(point))"),
     Fault("quicklook", "value=step_dn * scaled_gain.value", "value=scaled_gain.value"),
     Fault("quicklook", "return [(4 * sigma, 4 * stderr)", "return [(2 * sigma, 4 * stderr)"),
     Fault("report", "other.value - reference.value", "reference.value - other.value"),
