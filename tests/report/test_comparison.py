@@ -181,8 +181,8 @@ def test_conditions_that_were_read_back_are_one(sets):
     assert lacking.numbers[2] == ABSENT and np.isfinite(lacking.changes[1].z) and np.isnan(lacking.changes[2].z)
 
 
-def flats_folder(folder: Path, gain: float, seed: int) -> None:
-    """A dataset of flats and darks: twelve levels of each, two frames a level."""
+def flats_folder(folder: Path, gain: float, seed: int) -> Path:
+    """Write a dataset of flats and darks, twelve levels of each with two frames a level, and return its folder."""
     camera, rng = SensorModel(gain, 9.0, black_level_dn=30.0, full_scale_dn=4095.0), np.random.default_rng(seed)
     (folder / "frames").mkdir(parents=True)
     rows = [HEADER]
@@ -193,6 +193,7 @@ def flats_folder(folder: Path, gain: float, seed: int) -> None:
             rows.append(f"frames/{kind}{level}_{repeat}.tif,{kind},,{1e-3 * (1 + level)!r},{repeat}")
     (folder / "manifest.csv").write_text("\n".join(rows) + "\n")
     (folder / "instrument.yaml").write_text("sensor: {bit_depth: 12}\n")
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -200,9 +201,8 @@ def cameras(tmp_path_factory) -> dict[str, Path]:
     """Results of flats of one camera twice, and of one whose gain is 20 % larger."""
     base = tmp_path_factory.mktemp("cameras")
     gains = {"first": 0.30, "same": 0.30, "other": 0.36}
-    for seed, (name, gain) in enumerate(gains.items(), start=1):
-        flats_folder(base / name, gain, seed)
-    return {name: run_stages(base / name, base / "out" / name, ["ingest", "transfer"]) for name in gains}
+    folders = {name: flats_folder(base / name, gain, seed) for seed, (name, gain) in enumerate(gains.items(), start=1)}
+    return {name: run_stages(folder, base / "out" / name, ["ingest", "transfer"]) for name, folder in folders.items()}
 
 
 def test_a_change_of_gain_is_marked(cameras):
