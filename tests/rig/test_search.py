@@ -88,11 +88,11 @@ def test_the_simulated_spot_follows_the_published_law():
 
 
 def test_a_score_counts_its_ends_and_misses_outside():
-    assert scores.Score("n", 2.0, 2.0, 4.0).held
-    assert not scores.Score("n", 1.99, 2.0, 4.0).held
+    assert scores.Score("n", 2.0, 2.0, 4.0).is_met
+    assert not scores.Score("n", 1.99, 2.0, 4.0).is_met
     assert scores.Score("n", 3.0, 2.0, 4.0).miss == 0.0
     assert scores.Score("n", 5.0, 2.0, 4.0).miss == pytest.approx(0.6)
-    assert not scores.Score("n", math.nan, 2.0, 4.0).held
+    assert not scores.Score("n", math.nan, 2.0, 4.0).is_met
     assert scores.Score("n", math.nan, 2.0, 4.0).miss == 10.0
 
 
@@ -103,7 +103,7 @@ def test_the_default_rig_holds_most_of_the_paper_s_numbers():
     seen = trial.measured(rig, sites)
     held = scores.score(seen, scores.simulate_set(rig, seen, seed=0))
     # The README claims 34; two of them may be moved over an edge by the draw of the simulation.
-    assert sum(one.held for one in held) >= 32, [one for one in held if not one.held]
+    assert sum(one.is_met for one in held) >= 32, [one for one in held if not one.is_met]
     # The forecast that screens the candidates: means of widths within 1 %, of amplitudes within 3 %.
     widths, amplitudes, _, _ = screen._tables(rig, sites)
     np.testing.assert_allclose(widths.mean(axis=2), seen.tables["sigma_px"].mean(axis=2), rtol=0.01)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.io.provenance import code_digest
+from spotcheck.io.provenance import code_digest, file_digest
 from spotcheck.paper.rivals import inference, predictions, summaries, worlds
 from spotcheck.report.figures import rivals, style
 from tests.samples.small_datasets import ROOT
@@ -104,7 +104,8 @@ def load_or_fit(
 
     It is stored in results/rivals, so that a run that was stopped continues.
     """
-    code = code_digest("spotcheck.paper.rivals.predictions", "spotcheck.paper.rivals.inference")
+    library = code_digest("spotcheck.paper.rivals.predictions", "spotcheck.paper.rivals.inference")
+    code = f"{library} {file_digest(__file__)[: len(library)]}"
     path = FOLDER / f"{world.name} {code} {args.realisations} {args.seed}.pickle"
     if path.is_file():
         return pickle.loads(path.read_bytes())

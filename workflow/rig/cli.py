@@ -44,12 +44,12 @@ def _score(options: argparse.Namespace) -> int:
     print("| number | here | counts as met | held |\n|---|---|---|---|")
     for same in zip(*draws, strict=True):
         values = [one.value for one in same]
-        low, high, held = min(values), max(values), sum(one.held for one in same)
+        low, high, held = min(values), max(values), sum(one.is_met for one in same)
         here = f"{low:.4g}" if low == high else f"{low:.4g} … {high:.4g}"
         print(f"| {same[0].name} | {here} | {same[0].low:g} … {same[0].high:g} | {held} of {len(draws)} |")
     for name, value in extras.items():
         print(f"| {name} | {value:.4g} | not counted | |")
-    totals = ", ".join(str(sum(one.held for one in draw)) for draw in draws)
+    totals = ", ".join(str(sum(one.is_met for one in draw)) for draw in draws)
     print(f"\nHeld of {len(draws[0])}, draw by draw: {totals}")
     return 0
 

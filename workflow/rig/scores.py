@@ -24,7 +24,7 @@ class Score:
     high: float
 
     @property
-    def held(self) -> bool:
+    def is_met(self) -> bool:
         return self.low <= self.value <= self.high
 
     @property
@@ -41,14 +41,14 @@ class Score:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured on a whole set of crops [angle, exposure, repeat, y, x], and p1, p2 of each site [px]."""
+    """Measured quantities of a whole set of crops, and the calibration of its sites."""
 
-    angles_deg: list[float]
-    exposures_s: list[float]
-    crops: np.ndarray
-    tables: dict[str, np.ndarray]
-    p1: np.ndarray
-    p2: np.ndarray
+    angles_deg: list[float]  # angles of the set [deg]
+    exposures_s: list[float]  # exposures [s]
+    crops: np.ndarray  # readings [angle, exposure, repeat, y, x] in DN
+    tables: dict[str, np.ndarray]  # each of `QUANTITIES` [angle, exposure, repeat]
+    p1: np.ndarray  # slope of the width in ln exposure, of each site [angle, repeat] in px
+    p2: np.ndarray  # width at 1 s, of each site [angle, repeat] in px
 
 
 @dataclass(frozen=True)
@@ -68,17 +68,21 @@ def measure_set(settings: Settings, crops: np.ndarray, angles_deg: list[float], 
     return Measured(angles_deg, exposures_s, crops, tables, p1, p2)
 
 
-def simulate_set(settings: Settings, seen: Measured, seed: int) -> Simulated:
+def simulate_set(settings: Settings, measured: Measured, seed: int) -> Simulated:
     """One simulated image for each exposure and repeat; it serves every angle, for the model knows none."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
-    exposures, repeats = seen.exposures_s, seen.crops.shape[2]
-    law = papersim.Law(float(seen.p1.mean()), float(seen.p2.mean()), papersim.laser_sigma_px(settings), scale_dn=1000.0)
-    wanted = float(seen.tables["maximum"][:, 1:].mean())
+    exposures, repeats = measured.exposures_s, measured.crops.shape[2]
+    law = papersim.Law(
+        float(measured.p1.mean()), float(measured.p2.mean()), papersim.laser_sigma_px(settings), scale_dn=1000.0
+    )
+    wanted = float(measured.tables["maximum"][:, 1:].mean())
     law = papersim.calibrated_scale(settings, law, exposures[1:], wanted, rng)
     images = np.array([[papersim.simulate(settings, law, t, rng) for _ in range(repeats)] for t in exposures])
-    psnr = np.empty(seen.crops.shape[:3])
+    psnr = np.empty(measured.crops.shape[:3])
     for angle, exposure, repeat in np.ndindex(*psnr.shape):
-        psnr[angle, exposure, repeat] = measure.psnr_db(seen.crops[angle, exposure, repeat], images[exposure, repeat])
+        psnr[angle, exposure, repeat] = measure.psnr_db(
+            measured.crops[angle, exposure, repeat], images[exposure, repeat]
+        )
     return Simulated(_measure_all(images), psnr)
 
 
@@ -92,16 +96,16 @@ def _measure_all(crops: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(QUANTITIES, values, strict=True))
 
 
-def score(seen: Measured, simulated: Simulated) -> list[Score]:
+def score(measured: Measured, simulated: Simulated) -> list[Score]:
     """Every printed number of the measured side, and those of the simulated side that hang on it."""
-    tables = seen.tables | {"psnr_db": simulated.psnr_db}
+    tables = measured.tables | {"psnr_db": simulated.psnr_db}
     mean = {name: table.mean(axis=2) for name, table in tables.items()}
     sd = {name: table.std(axis=2, ddof=1) for name, table in tables.items()}
     model = {name: table.mean(axis=1) for name, table in simulated.tables.items()}
     inf = math.inf
     model_sigma = model["sigma_px"]
     width_off = mean["sigma_px"] - model_sigma
-    at = {angle: i for i, angle in enumerate(seen.angles_deg)}
+    at = {angle: i for i, angle in enumerate(measured.angles_deg)}
     first_three = [at[a] for a in (0.0, 45.0, 90.0)]
     rise = np.min(mean["sigma_px"][at[90.0]] - mean["sigma_px"][at[45.0]])
     drop = np.min(mean["sigma_px"][at[90.0]] - mean["sigma_px"][at[135.0]])
@@ -110,8 +114,8 @@ def score(seen: Measured, simulated: Simulated) -> list[Score]:
     contrast_ratio = sd["contrast"][:, 0].mean() / sd["contrast"][:, 1:].mean()
     highest = np.min(mean["psnr_db"][:, 0] - mean["psnr_db"][:, 1:].max(axis=1))
     rows = [
-        ("p1 mean [px]", seen.p1.mean(), 2.16, 2.80),
-        ("p2 mean [px]", seen.p2.mean(), 33.35, 35.75),
+        ("p1 mean [px]", measured.p1.mean(), 2.16, 2.80),
+        ("p2 mean [px]", measured.p2.mean(), 33.35, 35.75),
         ("PSNR mean, smallest [dB]", mean["psnr_db"].min(), 50.5, 55.5),
         ("PSNR mean, largest [dB]", mean["psnr_db"].max(), 55.5, 60.5),
         ("PSNR sd, smallest [dB]", sd["psnr_db"].min(), -0.65, 2.05),
@@ -149,14 +153,14 @@ def score(seen: Measured, simulated: Simulated) -> list[Score]:
     return [Score(name, float(value), low, high) for name, value, low, high in rows]
 
 
-def extras(seen: Measured) -> dict[str, float]:
+def extras(measured: Measured) -> dict[str, float]:
     """Clues that are not counted: how p1 hangs on the width, and the scatter of p1 and p2."""
-    width = seen.tables["sigma_px"].mean(axis=1).ravel()
+    width = measured.tables["sigma_px"].mean(axis=1).ravel()
     return {
-        "corr(p1, mean width)": float(np.corrcoef(seen.p1.ravel(), width)[0, 1]),
-        "sd(p1) over sites [px]": float(seen.p1.std(ddof=1)),
-        "sd(p2) over sites [px]": float(seen.p2.std(ddof=1)),
-        "sd(p1) over angle means [px]": float(seen.p1.mean(axis=1).std(ddof=1)),
-        "sd(p2) over angle means [px]": float(seen.p2.mean(axis=1).std(ddof=1)),
-        "sum sd, largest [DN]": float(seen.tables["sum"].std(axis=2, ddof=1).max()),
+        "corr(p1, mean width)": float(np.corrcoef(measured.p1.ravel(), width)[0, 1]),
+        "sd(p1) over sites [px]": float(measured.p1.std(ddof=1)),
+        "sd(p2) over sites [px]": float(measured.p2.std(ddof=1)),
+        "sd(p1) over angle means [px]": float(measured.p1.mean(axis=1).std(ddof=1)),
+        "sd(p2) over angle means [px]": float(measured.p2.mean(axis=1).std(ddof=1)),
+        "sum sd, largest [DN]": float(measured.tables["sum"].std(axis=2, ddof=1).max()),
     }

@@ -61,7 +61,7 @@ class Trial:
         """Mean number of met numbers, then minus the mean of the summed misses: larger is better."""
         if not self.draws:
             return 0.0, -math.inf
-        met_counts = [sum(score.held for score in draw) for draw in self.draws]
+        met_counts = [sum(score.is_met for score in draw) for draw in self.draws]
         misses = [sum(score.miss for score in draw) for draw in self.draws]
         return float(np.mean(met_counts)), -float(np.mean(misses))
 

@@ -16,7 +16,7 @@ TOP_HAT = math.exp(-0.25)  # contract: light above this part of the peak is cut 
 
 @dataclass(frozen=True)
 class Base:
-    """What the instrument file states, and the calibration that an analysis has to find."""
+    """Content of the instrument file, and the calibration that an analysis has to find."""
 
     exposures_s: tuple[float, ...]
     p1: float  # [px]

@@ -31,16 +31,16 @@ _RANGES = {"faint": (5.0, 15.0), "mid": (15.0, 100.0), "strong": (100.0, 1000.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One blind test. `instrument` and `manifest` are what an analysis may see, `truth` is what it must not."""
+    """One blind test: data that an analysis may see, and the truth that it must not see."""
 
-    seed: int
-    kind: str
-    design: str
-    instrument: dict[str, Any]
-    manifest: list[dict[str, Any]]
-    truth: dict[str, Any]
-    world: World
-    shots: tuple[Shot, ...]
+    seed: int  # seed of all random numbers
+    kind: str  # `none`, or `one:<effect>:<level>`
+    design: str  # name of the design in `DESIGNS`
+    instrument: dict[str, Any]  # content of instrument.yaml
+    manifest: list[dict[str, Any]]  # rows of manifest.csv
+    truth: dict[str, Any]  # content of the truth file, which an analysis must not see
+    world: World  # baseline and effect
+    shots: tuple[Shot, ...]  # frames in order of acquisition
 
 
 def draw_case(seed: int, kind: str, design: str = "default") -> Case:

@@ -47,15 +47,15 @@ DESIGNS = {
 
 @dataclass(frozen=True)
 class Shot:
-    """One frame to be taken: `index` in order of acquisition, `site` by the design's count, the spot's centre [px]."""
+    """One frame to be taken."""
 
-    index: int
-    site: int
-    angle_deg: float
-    exposure_s: float
-    repeat: int
-    x_px: float
-    y_px: float
+    index: int  # place in the order of acquisition
+    site: int  # number of the site, by the design's count
+    angle_deg: float  # angle of the fibres [deg]
+    exposure_s: float  # exposure [s]
+    repeat: int  # number of the repeat
+    x_px: float  # column of the spot's centre [px]
+    y_px: float  # row of the spot's centre [px]
 
     def row(self) -> dict[str, Any]:
         """The frame's row in the manifest."""

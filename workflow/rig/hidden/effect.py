@@ -1,4 +1,4 @@
-"""What every hidden effect is: a strength, fixed structure, and hooks into the chain. Hooks do nothing by default.
+"""Base class of hidden effects: a strength, fixed structure, and hooks into the chain that do nothing by default.
 
 Light is in DN (without black level), electrons in e-. The hooks of moments give mean and variance of the draws; the
 strength is found with the moments, the frames are made with the draws.
@@ -132,7 +132,7 @@ class Effect:
         return reading
 
     def zero(self) -> tuple[float, float]:
-        """What the converter subtracts [DN], and the reading [DN] below which it shows 0."""
+        """Return the offset [DN] that the converter subtracts, and the reading [DN] below which it shows 0."""
         return 0.0, 0.0
 
     def reading_moments(self, mean: Array, variance: Array, view: View) -> Moments:

@@ -232,9 +232,9 @@ class BackgroundGradient(_Pedestal):
     @classmethod
     def draw(cls, rng: np.random.Generator, base: Base, shots: Sequence[Shot]) -> Self:
         direction = rng.uniform(0.0, 2.0 * math.pi)
-        reach = CENTRE / 100.0 * (abs(math.cos(direction)) + abs(math.sin(direction)))
+        farthest = CENTRE / 100.0 * (abs(math.cos(direction)) + abs(math.sin(direction)))
         source = str(rng.choice(["light", "electronics"]))
-        return cls(0.0, source, math.degrees(direction), reach * rng.uniform(1.0, 1.6))
+        return cls(0.0, source, math.degrees(direction), farthest * rng.uniform(1.0, 1.6))
 
     def span(self, base: Base) -> tuple[float, float]:
         return 1e-5, 0.03 * base.full_scale

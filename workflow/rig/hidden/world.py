@@ -17,14 +17,14 @@ NO_EFFECT = Effect(0.0)
 
 @dataclass(frozen=True)
 class State:
-    """One frame's numbers: true exposure [s], spread, width and centre [px], peak A [DN]."""
+    """Spot of one frame."""
 
-    t: float
-    spread: float
-    sigma: float
-    peak: float
-    x: float
-    y: float
+    t: float  # true exposure [s]
+    spread: float  # width of the spread of light [px]
+    sigma: float  # width of the spot [px]
+    peak: float  # peak A [DN]
+    x: float  # column of the centre [px]
+    y: float  # row of the centre [px]
 
 
 @dataclass(frozen=True)

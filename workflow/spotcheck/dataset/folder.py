@@ -84,9 +84,10 @@ class Dataset:
             ("repeat", "1", "site or repetition within a condition"),
             *((column, get_column_unit(column), column) for column in self.instrument.conditions),
         ]
+        coordinates = [frame.get_coordinates(self.instrument.conditions) for frame in self.spots]
         axes = []
         for position, (name, units, long_name) in enumerate(quantities):
-            values = {frame.get_coordinates(self.instrument.conditions)[position] for frame in self.spots}
+            values = {of_frame[position] for of_frame in coordinates}
             recorded_values = sorted(value for value in values if value is not None)
             axes.append(Axis(name, tuple(recorded_values) or None, units, long_name))
         return tuple(axes)

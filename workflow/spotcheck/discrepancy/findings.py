@@ -145,9 +145,9 @@ class UpperLimit:
     remark: str = ""  # why further frames do not help; "" if they do
 
     @classmethod
-    def of_effect(cls, effect: Effect, reason: str, *values: Any) -> "UpperLimit":
-        """Return the limit on the strength of an effect; `values` are those of the fields behind `reason`."""
-        return cls(effect.name, effect.parameters[0].name, effect.parameters[0].unit, reason, *values)
+    def of_effect(cls, effect: Effect, reason: str, **ends: Any) -> "UpperLimit":
+        """Return the limit on the strength of an effect; `ends` are the fields from `low` on, by name."""
+        return cls(effect.name, effect.parameters[0].name, effect.parameters[0].unit, reason, **ends)
 
 
 @dataclass(frozen=True)

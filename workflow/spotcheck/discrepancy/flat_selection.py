@@ -33,6 +33,7 @@ from spotcheck.discrepancy.flat_fit import (
     standardized_residual,
 )
 from spotcheck.discrepancy.flat_levels import FlatLevels, expect_levels
+from spotcheck.discrepancy.limits import TOO_SMALL
 from spotcheck.model.effect import AppliedEffect, Effect
 
 # Number of sets of each size that are extended by one more effect, since two effects together may look like a third.
@@ -290,7 +291,7 @@ def assess_level_effect(levels: FlatLevels, fit: LevelFit, name: str, effects: S
     consistency, z = assess_consistency(levels, fit, without, name)
     objections = (
         (gain < MIN_GAIN or z**2 < MIN_GAIN, "not significant"),
-        (is_negligible(fit.applied(name), levels.scales), "too small to matter"),
+        (is_negligible(fit.applied(name), levels.scales), TOO_SMALL),
         (has_negligible_rival, "another effect that is too small to matter does as well"),
         (not consistency.is_consistent, "low, middle and high levels disagree about its size"),
         (measure_held_out_gain(levels, without, fit) <= 0, "it does not improve the prediction of held-out levels"),

@@ -37,6 +37,7 @@ from spotcheck.discrepancy.flat_selection import (
     screen_starts,
     select_level_effects,
 )
+from spotcheck.discrepancy.limits import NOT_FOUND, TOO_SMALL
 from spotcheck.discrepancy.places import correct_for_number
 from spotcheck.model.effect import AppliedEffect, Effect, RandomStep
 
@@ -52,8 +53,6 @@ MOST_PLACES = 3
 ONE_SIDED, TWO_SIDED = 1.645, 1.960
 # Least promised drop of −2 ln L at which a limit is taken from a fit of the effect instead of score tests.
 LEAST_FIT = 9.0
-# Reason for a limit if nothing else is known.
-NOT_FOUND = "not found"
 # Most strengths that are tried for a limit, and the relative accuracy of the limit.
 LIMIT_TRIALS, LIMIT_ACCURACY = 16, 0.01
 # Further frames that halve errors, in numbers of present frames: errors are proportional to 1/√(number).
@@ -280,7 +279,7 @@ def limit_effect(levels: FlatLevels, selected: SelectedLevelEffects, effect: Eff
         fit = add_effect(levels, selected.fit, effect)
     if fit is not None and selected.fit.deviance - fit.deviance >= MIN_GAIN and limit.reason == NOT_FOUND:
         is_nothing = is_negligible(fit.model.effects[-1], levels.scales)
-        limit = replace(limit, reason="too small to matter" if is_nothing else "not distinct from what is named")
+        limit = replace(limit, reason=TOO_SMALL if is_nothing else "not distinct from what is named")
     if fit is not None:
         return limit_fitted(levels, fit, limit)
     if not np.isfinite(effect.vanishes_at):

@@ -184,7 +184,7 @@ def summarize_sides(sides: Sequence[Trial], frames: int, scales: EffectScales) -
     # 4**power as many frames.
     powers = [trial.power for trial in sides if np.isfinite(trial.power) and not trial.is_linear]
     more_frames = None if remark else int(np.ceil((4 ** max(powers, default=1.0) - 1) * frames))
-    return UpperLimit.of_effect(effect, reason, low, high, more_frames, remark)
+    return UpperLimit.of_effect(effect, reason, low=low, high=high, frames=more_frames, remark=remark)
 
 
 # Effects of the mean image
@@ -381,4 +381,4 @@ def limit_scatter(random_effect: NamedScatter, frames: int, scales: EffectScales
     # 1/frames for a field of the sensor, which pairs of frames share.
     more_frames = None if remark else ((4 if is_shared else 16) - 1) * frames
     reason = TOO_SMALL if is_small else NOT_FOUND
-    return UpperLimit.of_effect(effect, reason, np.nan, interval.high, more_frames, remark)
+    return UpperLimit.of_effect(effect, reason, high=interval.high, frames=more_frames, remark=remark)

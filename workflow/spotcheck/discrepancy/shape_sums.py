@@ -118,18 +118,28 @@ class ShapeSums:
 
 
 @compiled
+def locate(per_step, nodes, u, v):
+    """Return column and row of the node below a point u, v [σ], and the weights of the splines along both.
+
+    The column is 0 for points outside the grid, where not all splines have a node; it is at least 1 inside.
+    """
+    middle = (nodes - 1) / 2
+    x, y = u * per_step + middle, v * per_step + middle
+    is_inside = 1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0
+    column, row = (math.floor(x), math.floor(y)) if is_inside else (0, 0)
+    return column, row, cubic_weights(x - column), cubic_weights(y - row)
+
+
+@compiled
 def add_products(per_step, nodes, u, v, factor, values, sums):
     """Add Σ over points of factor · basis · values to `sums` [coefficient, k].
 
     u, v, factor [point]; values [point, k].
     """
-    middle = (nodes - 1) / 2
     for n in range(u.size):
-        x, y = u[n] * per_step + middle, v[n] * per_step + middle
-        if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
+        column, row, column_weights, row_weights = locate(per_step, nodes, u[n], v[n])
+        if factor[n] == 0.0 or column < 1:
             continue
-        column, row = math.floor(x), math.floor(y)
-        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
         for k in range(values.shape[1]):
             value = factor[n] * values[n, k]
             for q in range(SPLINES):
@@ -144,13 +154,10 @@ def add_values(per_step, nodes, u, v, factor, coefficients, values):
 
     u, v, factor [point]; coefficients [coefficient, k].
     """
-    middle = (nodes - 1) / 2
     for n in range(u.size):
-        x, y = u[n] * per_step + middle, v[n] * per_step + middle
-        if factor[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
+        column, row, column_weights, row_weights = locate(per_step, nodes, u[n], v[n])
+        if factor[n] == 0.0 or column < 1:
             continue
-        column, row = math.floor(x), math.floor(y)
-        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
         for q in range(SPLINES):
             for p in range(SPLINES):
                 value = factor[n] * row_weights[q] * column_weights[p]
@@ -166,13 +173,10 @@ def add_information(per_step, nodes, u, v, weight, band):
     u, v, weight [point]. The matrix is symmetric: for coefficient k, column dj (2 NEIGHBOURS + 1) + di + NEIGHBOURS of
     the band holds the information with the coefficient dj rows and di columns further, dj ≥ 0.
     """
-    middle = (nodes - 1) / 2
     for n in range(u.size):
-        x, y = u[n] * per_step + middle, v[n] * per_step + middle
-        if weight[n] == 0.0 or not (1.0 <= x < nodes - 2.0 and 1.0 <= y < nodes - 2.0):
+        column, row, column_weights, row_weights = locate(per_step, nodes, u[n], v[n])
+        if weight[n] == 0.0 or column < 1:
             continue
-        column, row = math.floor(x), math.floor(y)
-        column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
         for q in range(SPLINES):
             for p in range(SPLINES):
                 product = weight[n] * row_weights[q] * column_weights[p]

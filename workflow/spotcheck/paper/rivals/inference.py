@@ -127,9 +127,14 @@ def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed
         # Points that may be the best: the emulator's optimum, the nearest realisation, and the one of the round before.
         nearest = near[np.argmin([_chi2_of_residual(emulator, transform(observed) - row) for row in values])]
         candidates = np.array([best.point, nearest, centre])
+        # Keys from MAX_ROUNDS on: random numbers apart from those of the rounds.
         trials = simulate(np.repeat(candidates, TRIALS, axis=0), MAX_ROUNDS + number)
-        means = np.nanmean(transform(trials).reshape(len(candidates), TRIALS, -1), axis=1)
-        first = int(np.argmin([_chi2_of_residual(emulator, transform(observed) - mean) for mean in means]))
+        chi2 = []
+        for realisations in transform(trials).reshape(len(candidates), TRIALS, -1):
+            finite = realisations[np.isfinite(realisations).all(axis=1)]
+            residual = transform(observed) - finite.mean(axis=0) if len(finite) else None
+            chi2.append(np.inf if residual is None else _chi2_of_residual(emulator, residual))
+        first = int(np.argmin(chi2))
         if number >= len(ROUNDS) - 1 and first == 0 and not best.at_edge.any():
             return replace(emulator, has_converged=True)
         centre = candidates[first]
