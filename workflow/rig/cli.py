@@ -42,14 +42,14 @@ def _score(options: argparse.Namespace) -> int:
 
     draws, extras = search.score_settings(options.dataset, settings.load(options.settings), options.draws)
     print("| number | here | counts as met | held |\n|---|---|---|---|")
-    for same in zip(*draws, strict=True):
-        values = [one.value for one in same]
-        low, high, held = min(values), max(values), sum(one.is_met for one in same)
+    for scores in zip(*draws, strict=True):  # scores of one printed number, one of each draw
+        values = [score.value for score in scores]
+        low, high, met_count = min(values), max(values), sum(score.is_met for score in scores)
         here = f"{low:.4g}" if low == high else f"{low:.4g} … {high:.4g}"
-        print(f"| {same[0].name} | {here} | {same[0].low:g} … {same[0].high:g} | {held} of {len(draws)} |")
+        print(f"| {scores[0].name} | {here} | {scores[0].low:g} … {scores[0].high:g} | {met_count} of {len(draws)} |")
     for name, value in extras.items():
         print(f"| {name} | {value:.4g} | not counted | |")
-    totals = ", ".join(str(sum(one.is_met for one in draw)) for draw in draws)
+    totals = ", ".join(str(sum(score.is_met for score in draw)) for draw in draws)
     print(f"\nHeld of {len(draws[0])}, draw by draw: {totals}")
     return 0
 
