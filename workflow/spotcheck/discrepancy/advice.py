@@ -272,7 +272,7 @@ def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[W
     covariance = np.linalg.inv(search.inverse)
 
     def worth_of(condition: Condition) -> FrameWorth | None:
-        """Return the worth of a frame of a condition; None if it is blocked, might clip, or lies outside a law."""
+        """Return the worth of a frame of a condition; None if it is blocked, might clip, or has no finite spot."""
         if condition.get("blocked"):
             return None
         frame, design = design_at(search.design, condition)
@@ -282,8 +282,10 @@ def compare_laws(effect: Effect, rival: Effect, present: PresentFits) -> tuple[W
         brightest = sensor.black_level_dn + search.forward.baseline.plateau(np.exp(expected[0]))
         if not np.isfinite([*expected, *rival_expected]).all() or brightest > USABLE_SHARE * sensor.full_scale_dn:
             return None
-        # Covariance of ln peak and ln σ of the nearest frame; the part by photon noise is scaled with 1/exposure.
-        index = np.ix_([frame, search.frame_count + frame], [frame, search.frame_count + frame])
+        # Places of ln peak and ln σ of the nearest frame among the observations: ln peak of all frames, then ln σ.
+        places = [frame, search.frame_count + frame]
+        index = np.ix_(places, places)
+        # Their covariance [2, 2]. The part by photon noise grows as 1/exposure; a longer exposure does not reduce it.
         exposure_ratio = max(search.design.exposure_s[frame] / design.exposure_s[0], 1.0)
         weight = np.linalg.inv(covariance[index] + (exposure_ratio - 1) * search.noise[index])
         _, slopes = search.linearize(rival_model, rival_laws.names, conditions)

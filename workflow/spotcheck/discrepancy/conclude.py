@@ -8,7 +8,8 @@ instrument. A static shape is an effect that changes the light in the same way i
 free shape. Scatter is the random variation of pixels, frames or sites that a random effect may explain.
 
 An `Analysis` has the frames with the fit of the declared model (`prepared`) and the final fit with tests of its effects
-(`selected`). It also has the scatter, the laws, and the predictions of held-out frames (`validated`).
+(`selected`). The residuals of the declared fit are `prepared.images`, those of the final fit `images`. It also has the
+scatter, the laws, and the predictions of held-out frames (`validated`).
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -140,23 +141,23 @@ def _pulls(analysis: Analysis) -> tuple[findings.SensorPull, ...]:
 def _unexplained(analysis: Analysis, names: Collection[str], black_dn: float) -> findings.Unexplained:
     """Return the residual of the mean image about the final fit, beyond noise and named scatter.
 
-    `names` are the named effects, `black_dn` the black level [DN].
+    Its size is in parts of the peak. `names` are the named effects, `black_dn` is the black level [DN].
     """
     scatter = analysis.scatter
-    steps = [step for named in analysis.named_scatter if named.applied.effect.name in names
-             for step in named.applied.effect.variants[named.applied.variant]]  # fmt: skip
+    steps = [step for random_effect in analysis.named_scatter if random_effect.applied.effect.name in names
+             for step in random_effect.applied.effect.variants[random_effect.applied.variant]]  # fmt: skip
     stages = {step.stage for step in steps if isinstance(step, RandomStep)}
-    # A granular field in the model is in the weights of the residuals already.
+    # The weights of the residuals contain granular light already if it is an effect of the fitted model.
     is_in_model = has_field(analysis.selected.fit.model)
     fields = [scatter.grains] if Stage.SPECKLE_FIELD in stages and not is_in_model else []
     fields += [scatter.gains] if Stage.PIXEL_GAIN in stages else []
     row_variance = scatter.dark.row.value if scatter.dark and Stage.ROW_NOISE_AND_HOT_PIXELS in stages else 0.0
-    known = KnownScatter(tuple(fields), max(row_variance, 0.0))
-    closed = analysis.validated.closed if analysis.validated else np.nan
+    known_scatter = KnownScatter(tuple(fields), max(row_variance, 0.0))
+    closed_share = analysis.validated.closed if analysis.validated else np.nan
     return replace(
-        measure_unexplained(analysis.images, known),
-        share=float(np.clip(1 - closed, 0.0, 1.0)),
-        p_value=test_residuals(analysis.images, black_dn, known).p_value,
+        measure_unexplained(analysis.images, known_scatter),
+        share=float(np.clip(1 - closed_share, 0.0, 1.0)),
+        p_value=test_residuals(analysis.images, black_dn, known_scatter).p_value,
     )
 
 

@@ -130,6 +130,8 @@ def _try_cells(cells: CellSums, images: ResidualImages, black_level_dn: float, s
     """Return the trials of cells: for each division of the frames, the strongest cell and the sum of all squares.
 
     There is no sum of squares with a single cell or with known scatter. Both trials name the strongest cell.
+    `black_level_dn` [DN] serves to describe its place. `squares` of a `StrongestCell` is the sum of all squares; `mean`
+    and `variance` are those of this sum under the model.
     """
     trials = []
     for strongest in strongest_cells(cells, images.design, scatter):

@@ -47,11 +47,12 @@ from spotcheck.model.effect import Effect, EffectScales, Need, RandomStep, Scope
 # Most distances that are tried: before the farthest start of each variant is chosen, then on thinned pixels or laws,
 # and on all pixels.
 FIRST_TRIES, TRIES, FULL_TRIES = 1, 12, 3
-# A clip that may be present: distances beyond its limit, in units of the limit, at which a score test looks for it; and
-# the z from which on fits look for it at more distances. The distance of a clip is 1/level.
+# Search for a clip that may be present below its limit; the distance of a clip is 1/level. Score tests are made at the
+# first multiples of the distance of the limit. If z of any is above `SCANNED_Z`, fits are made at the second multiples.
 SCANNED_FACTORS, SCANNED_Z = (1.01, 1.03, 1.08), 1.5
 FITTED_FACTORS = (1.0, 1.01, 1.02, 1.03, 1.05, 1.08, 1.15)
-# Newton decrement of these fits, most iterations, and number of bisections between two distances.
+# Newton decrement of these fits, most iterations, and number of bisections between the largest distance that is allowed
+# and the next one, which is excluded.
 PROFILE_TOLERANCE, PROFILE_ITERATIONS, PROFILE_BISECTIONS = 0.1, 6, 4
 # Part of the information on a law that must be left beside the other laws. It may be small, since spots beside a free
 # light shape are known far better in some directions than in others.
@@ -247,9 +248,9 @@ def limit_mean_effects(fit: JointFit, effects: Sequence[Effect], scales: EffectS
 def profile_clip(fit: JointFit, trial: Trial, highest: float) -> float:
     """Return the lower limit [DN] on the level of a clip that may be present, from fits at several levels.
 
-    The limit is the lowest level at which −2 ln L, minimised over the spots, is less than k² above its minimum. The
-    score test would put it too high, since the spots of a fit without the clip have absorbed a part of it. NaN if all
-    levels that are tried are allowed.
+    The limit is the lowest level at which −2 ln L, minimised over the spots, is less than k² above its minimum over all
+    levels. The score test would put it too high, since the spots of a fit without the clip have absorbed a part of it.
+    NaN if even the lowest level that is tried is allowed.
 
     Parameters
     ----------
@@ -261,22 +262,27 @@ def profile_clip(fit: JointFit, trial: Trial, highest: float) -> float:
         Limit by the score test [DN]. It is returned if no spot is brighter than the lowest level that is tried.
     """
     distances = [factor / highest for factor in FITTED_FACTORS]
-    clipped = np.flatnonzero(np.exp(fit.model.spots.log_peak) > 1 / distances[-1])
-    if len(clipped) == 0:
+    # Frames with spots that the lowest level would clip; others do not depend on the clip.
+    clipped_frames = np.flatnonzero(np.exp(fit.model.spots.log_peak) > 1 / distances[-1])
+    if len(clipped_frames) == 0:
         return highest
-    selected = fit.select(clipped)
-    # Only the spots are fitted.
-    plain = replace(selected.model, free=(), grid=None)
+    selected = fit.select(clipped_frames)
+    # Sensor, other effects and light shape are fixed, so that only the spots are fitted.
+    without_clip = replace(selected.model, free=(), grid=None)
 
     def deviance_at(distance: float) -> float:
-        """Return −2 ln L with the clip at the level 1/distance."""
-        (applied, *_) = replace(trial, distance=distance).applied()
-        model = replace(plain, forward=replace(plain.forward, effects=(*plain.forward.effects, applied)))
+        """Return −2 ln L, minimised over the spots, with the clip at the level 1/`distance`; distance in 1/DN."""
+        # A clip has no direction, so that its trial applies a single effect.
+        applied = replace(trial, distance=distance).applied()[0]
+        forward = replace(without_clip.forward, effects=(*without_clip.forward.effects, applied))
+        model = replace(without_clip, forward=forward)
         return fit_jointly(model, selected.pixels, tolerance=PROFILE_TOLERANCE, iterations=PROFILE_ITERATIONS).deviance
 
     deviances = {distance: deviance_at(distance) for distance in distances}
-    minimum = min(fit_jointly(plain, selected.pixels, iterations=PROFILE_ITERATIONS).deviance, *deviances.values())
+    best_without = fit_jointly(without_clip, selected.pixels, iterations=PROFILE_ITERATIONS)
+    minimum = min(best_without.deviance, *deviances.values())
     bound = minimum + float(stats.norm.ppf(trial.quantile_level)) ** 2
+    # Bracket of the limit: largest distance that is allowed, and the next one, which is excluded [1/DN].
     allowed = max((distance for distance, deviance in deviances.items() if deviance < bound), default=distances[0])
     excluded = min((distance for distance in distances if distance > allowed), default=np.inf)
     for _ in range(PROFILE_BISECTIONS if np.isfinite(excluded) else 0):
@@ -338,6 +344,7 @@ def limit_laws(search: LawSearch, named: Sequence[Effect], laws: Sequence[Effect
     def estimate(trial: Trial) -> Estimate:
         """Return the size of the change that a trial makes to brightness and width."""
         models = [replace(present, effects=(*fit.effects, applied)) for applied in trial.applied()]
+        # Whitened changes in each direction, before and after projection off the fitted parameters.
         whole = [search.whitening @ np.nan_to_num(search.mean_of(model) - mean) for model in models]
         changes = [change - basis @ (basis.T @ change) for change in whole]
         squares = [float(change @ change) for change in changes]

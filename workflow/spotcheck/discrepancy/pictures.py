@@ -239,15 +239,18 @@ def _count_pixels(blocks: BlockSums) -> np.ndarray:
 
 
 def _add_profiles(content: xr.Dataset, grid: ConditionGrid, geometry: Geometry, sums: Mapping[str, BlockSums]) -> None:
-    """Add mean residuals and their standard errors by condition and distance from the spot, in steps of a block."""
+    """Add mean residuals and their standard errors by condition and distance from the spot.
+
+    The distance is divided into rings as wide as a block, from the spot's centre to half the shorter side of the crop.
+    """
     shape = sums[BEFORE].residual.shape
     edges = geometry.side * np.arange(max(min(shape[1:]) // 2, 1) + 1)
     _put(content, "radius", ("radius",), (edges[:-1] + edges[1:]) / 2, "pixel", "distance from the spot's centre")
     rings = len(edges) - 1
-    ring = np.digitize(np.hypot(geometry.dx, geometry.dy), edges) - 1
-    is_inside = ring < rings
-    # Number of each pair of condition and ring.
-    label = (grid.condition[:, None, None] * rings + ring)[is_inside]
+    ring_of_block = np.digitize(np.hypot(geometry.dx, geometry.dy), edges) - 1
+    is_inside = ring_of_block < rings
+    # Number of the pair of condition and ring to which each block belongs.
+    label = (grid.condition[:, None, None] * rings + ring_of_block)[is_inside]
     dims = (*grid.dims, "radius")
     for stage, blocks in sums.items():
         residual, variance, pixels = (
@@ -289,6 +292,7 @@ def _add_rings(content: xr.Dataset, grid: ConditionGrid, geometry: Geometry, blo
     radius = np.hypot(geometry.dx, geometry.dy) / geometry.sigma[:, None, None]
     direction = np.arctan2(geometry.dy, geometry.dx)
     rings, conditions = len(RINGS), len(grid.places)
+    # Number of the pair of condition and ring to which each block belongs.
     label = (grid.condition[:, None, None] * rings + np.digitize(radius, RINGS) - 1).ravel()
 
     def sum_rings(values: np.ndarray) -> np.ndarray:

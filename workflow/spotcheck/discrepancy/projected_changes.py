@@ -112,31 +112,34 @@ def project_changes(
     coefficients = 0 if model.grid is None else model.grid.nodes**2
 
     def sum_batch(batch: slice) -> tuple[np.ndarray, ...]:
-        """Return score, information alone and with the previous change, and that with the unknowns, of one batch."""
+        """Return score, information, and information with the previous change [change], summed over a batch of frames.
+
+        Then cross information of unknowns [unknown, change] and of the shape's coefficients [coefficient, change].
+        """
         evaluation = evaluate(model, fit.pixels, batch)
         fitted = differentiate_readings(model, evaluation)
         shape_sums = ShapeSums(model, evaluation) if coefficients else None
         spots = slice(SPOT_PARAMETERS * batch.start, SPOT_PARAMETERS * batch.stop)
         score, alone, shared = np.zeros((3, count))
-        cross, of_shape = np.zeros((equations.size, count)), np.zeros((coefficients, count))
+        cross, cross_shape = np.zeros((equations.size, count)), np.zeros((coefficients, count))
         previous = None
         for k, change in enumerate(changes_of(evaluation)):
             score[k], alone[k] = evaluation.score(change), evaluation.information_of(change, change)
             if previous is not None and k in with_previous:
                 shared[k] = evaluation.information_of(previous, change)
             previous = change
-            # Σ slope × equivalent is the information between a spot parameter and the change.
+            # Σ equivalent × derivative of the light by an unknown is the information between unknown and change.
             equivalent = evaluation.light_equivalent(change)
             cross[spots, k] = np.einsum("afhw,fhw->fa", evaluation.slopes, equivalent).ravel()
             cross[equations.size - len(fitted) :, k] = [evaluation.information_of(change, column) for column in fitted]
             if shape_sums is not None:
-                of_shape[:, k] = shape_sums.products(equivalent[None])[:, 0]
-        return score, alone, shared, cross, of_shape
+                cross_shape[:, k] = shape_sums.products(equivalent[None])[:, 0]
+        return score, alone, shared, cross, cross_shape
 
-    score, alone, shared, cross, half_shape = sum_batches(sum_batch, fit.pixels)
+    score, alone, shared, cross, cross_shape = sum_batches(sum_batch, fit.pixels)
+    half_shape = cross_shape if shape is None else shape.factor.half_solve(cross_shape)
     if shape is not None:
         # Eliminate the coefficients of the free shape; `equations` are without them already.
-        half_shape = shape.factor.half_solve(half_shape)
         cross = cross - shape.multiply_transposed(half_shape)
         score = score - half_shape.T @ shape.score
     steps = solve_positive(equations.information, cross)

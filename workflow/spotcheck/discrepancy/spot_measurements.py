@@ -58,7 +58,9 @@ def measure_spots(fit: JointFit, by_field: np.ndarray | None = None) -> SpotMeas
 def covariance_of_spots(fit: JointFit) -> np.ndarray:
     """Return the covariance of ln peak, ln σ, x, y of frame after frame [4F, 4F], from the Fisher information of a fit.
 
-    Fitted parameters of sensor and effects are free; a free light shape is as well.
+    It contains the uncertainty that the fitted parameters of sensor and effects add, and that of a free light shape.
+    ln peak and ln σ have no unit, x and y are in px.
     """
+    # The spot parameters are the first unknowns of the normal equations, which hold after elimination of the shape.
     count = SPOT_PARAMETERS * fit.equations.frame_count
     return invert_information(fit.equations.information)[:count, :count]
