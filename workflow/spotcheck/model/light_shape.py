@@ -67,8 +67,9 @@ def fill_spline(padded, steps_per_sigma, u, v, values):
     """Write the values [point] of a spline at u, v [point] in σ into `values`.
 
     `padded` [row, column] are the coefficients with `PADDING` on every side; they are square, with the centre in the
-    middle. `steps_per_sigma` is 1/distance of the nodes. A value is Σ over rows and columns of row weight · column
-    weight · coefficient, with the weights of the four nearest nodes along each axis (`cubic_weights`); 0 outside.
+    middle. `steps_per_sigma` [1/σ] is 1/distance of the nodes. A value is Σ over rows and columns of row weight ·
+    column weight · coefficient, with the weights of the four nearest nodes along each axis (`cubic_weights`). It is 0
+    from two steps beyond the last nodes on.
     """
     nodes = padded.shape[0] - 2 * PADDING
     middle = (nodes - 1) / 2
@@ -81,6 +82,7 @@ def fill_spline(padded, steps_per_sigma, u, v, values):
             continue
         column, row = math.floor(x), math.floor(y)
         column_weights, row_weights = cubic_weights(x - column), cubic_weights(y - row)
+        # Index of the first of the four nearest nodes in a padded row; q counts the four nearest rows.
         first = column + PADDING - 1
         for q in range(4):
             line = padded[row + PADDING - 1 + q]

@@ -81,7 +81,10 @@ def _effect_lines(applied: AppliedEffect) -> Iterator[str]:
 
 
 def _spot_entries(site: Site, spot: Spot) -> Iterator[str]:
-    """Yield the entries "key: value" of the line of a spot, first those of its site; None, unknown, is left out."""
+    """Yield the entries "key: value" of the line of a spot, first those of its site.
+
+    Values that are None, which stands for unknown, have no entry.
+    """
     # The entries of a site identify it when the file is read, so they keep all digits.
     identity = {"angle_deg": site.angle_deg, "exposure_s": site.exposure_s, "repeat": site.repeat}
     yield from (f"{key}: {value!r}" for key, value in identity.items() if value is not None)

@@ -92,14 +92,16 @@ def _interpolate_offsets(
     sums = [np.zeros(len(light)) for _ in ReadingMoments._fields]
     black_level = distribution.sensor.black_level_dn
     # One table for each whole number of steps. It contributes to the pixels for which it is one of `CUBIC_NODES`.
-    for node in range(int(low.min()) + CUBIC_NODES[0], int(low.max()) + CUBIC_NODES[-1] + 1):
-        distance = node - low
-        is_near = (distance >= CUBIC_NODES[0]) & (distance <= CUBIC_NODES[-1])
+    for whole_steps in range(int(low.min()) + CUBIC_NODES[0], int(low.max()) + CUBIC_NODES[-1] + 1):
+        # Number of this table as a node of each pixel [pixel].
+        node = whole_steps - low
+        is_near = (node >= CUBIC_NODES[0]) & (node <= CUBIC_NODES[-1])
         if not is_near.any():
             continue
-        shifted = replace(distribution, sensor=replace(distribution.sensor, black_level_dn=black_level + node * step))
+        sensor = replace(distribution.sensor, black_level_dn=black_level + whole_steps * step)
+        shifted = replace(distribution, sensor=sensor)
         moments = shifted.tabulate(highest).moments(light[is_near], smear_e[is_near])
-        weight = _lagrange(fraction[is_near], distance[is_near])
+        weight = _lagrange(fraction[is_near], node[is_near])
         for total, values in zip(sums, moments, strict=True):
             total[is_near] += weight * values
     return sums
@@ -108,8 +110,9 @@ def _interpolate_offsets(
 def _lagrange(fraction: np.ndarray, node: np.ndarray) -> np.ndarray:
     """Return the Lagrange weight [pixel] of a node in the cubic through `CUBIC_NODES`.
 
-    `node` [pixel] is one of `CUBIC_NODES`; the cubic is evaluated at `fraction` [pixel] of a step beyond node 0.
+    The weight is Π (`fraction` − k)/(`node` − k) over the other nodes k. `node` [pixel] is one of `CUBIC_NODES`; the
+    cubic is evaluated at `fraction` [pixel] of a step beyond node 0.
     """
-    # The factor of the node itself is 1, with a divisor that is not 0.
+    # The node itself has the factor 1; its divisor, which would be 0, is replaced.
     factors = [np.where(node == k, 1.0, (fraction - k) / np.where(node == k, 1, node - k)) for k in CUBIC_NODES]
     return reduce(np.multiply, factors)

@@ -53,8 +53,9 @@ def vocabulary() -> Mapping[str, Effect]:
 def choose(choice: Choice = LIBRARY) -> None:
     """Set the vocabulary of this process, by default to the effects of this folder.
 
-    Raises `InputError`, and keeps the vocabulary, for a file without a usable effect, a name or number that is already
-    used, a name or special case that is no effect, both `only` and `without`, and a choice that leaves no effect.
+    Raises `InputError`, and keeps the vocabulary, in any of these cases: a file has no usable effect, or one whose name
+    or number another effect has, or whose special case is no known effect; `only` or `without` names no known effect;
+    both are given; or no effect is left.
     """
     global _choice
     # Files may have changed since they were last read.

@@ -17,7 +17,11 @@ def add_copy(frame, *, fraction, dx, dy):
 
 
 def list_starts(scales):
-    """Return starts (fraction, dx, dy) at the copies found in residuals; without any, on rings around the spot."""
+    """Return a list of starts (fraction [1], dx [px], dy [px]).
+
+    They are at `scales.copies`, the places (dx, dy) of copies that residuals show. If there are none, they are on rings
+    around the spot.
+    """
     angles_rad = np.arange(START_DIRECTIONS) * 2 * np.pi / START_DIRECTIONS
     # dx and dy [px] of the starts on each ring.
     rings = [radius * scales.sigma_px * np.array([np.cos(angles_rad), np.sin(angles_rad)]) for radius in START_RADII]

@@ -55,6 +55,7 @@ def limit_by_power(signal_dn, *, level, knee):
 
     Signals up to `LEAST_SIGNAL_DN` stay as they are.
     """
+    # In logarithms, as powers of a small knee overflow: ln(limited/level) = ln r − knee ln(1 + r^m) with r = x/level.
     log_ratio = np.log(np.maximum(signal_dn, LEAST_SIGNAL_DN) / level)
     limited = level * np.exp(log_ratio - knee * np.logaddexp(0.0, log_ratio / knee))
     return np.where(signal_dn > LEAST_SIGNAL_DN, limited, signal_dn)
