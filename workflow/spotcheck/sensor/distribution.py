@@ -130,7 +130,7 @@ class ReadingDistribution:
         return self.cumulants(light).information
 
     def cumulants(self, light: ArrayLike) -> Cumulants:
-        """Return mean, variance, their slopes and the information at light [DN] in one pass, in the light's shape."""
+        """Return mean, variance, their slopes and the Fisher information at light [DN] in one pass, in its shape."""
         light = np.asarray(light, float)
         mean_e, index = np.unique(self.mean_electrons(light), return_inverse=True)
         cumulants = np.empty((len(Cumulants._fields), mean_e.size))
@@ -155,7 +155,8 @@ class ReadingDistribution:
         moments = np.empty((4, mean_e.size))
         for block in _split_into_blocks(mean_e):
             low, high = find_possible_counts(mean_e[block][0])[0], find_possible_counts(mean_e[block][-1])[1]
-            # Readings count from that in the middle of the block, since digits of a small variance would cancel.
+            # Readings are taken less that in the middle of the block: a small variance, as the difference of large
+            # squares, would lose digits.
             middle = given_counts[0, (low + high) // 2]
             # Means of the powers 0, 1 and 2 of reading − middle, as columns [count or charge level, power].
             powers, level_powers = (
@@ -220,8 +221,8 @@ class ReadingDistribution:
 
         Notes
         -----
-        One uniform number and a look-up in a table gives a reading (`spotcheck.sensor.sampling`). With values of single
-        pixels, or for few pixels, the chain is drawn step by step.
+        One uniform number and a look-up in a table gives a reading (`spotcheck.sensor.sampling`). The chain is drawn
+        step by step if `smear_e`, `charge_level` or `offset_dn` is given, with charge levels, or for few pixels.
         """
         light = np.asarray(light, float)
         pixel_values = (smear_e, charge_level, offset_dn)
@@ -288,16 +289,18 @@ class ReadingDistribution:
         # Numbers of electrons that occur, and the band of codes of each.
         low, high = find_possible_counts(mean_e[0])[0], find_possible_counts(mean_e[-1])[1]
         first, band = self._pmf_given_signal(self.charge_signal(np.arange(low, high + 1.0)))
+        # Lowest code, and the one after the highest.
         lowest, end = int(first.min()), int(first.max()) + band.shape[1]
+        # Probabilities of the codes of pixels whose charge stops at each level [charge level, code].
         stopped = np.zeros((0, end - lowest))
         if self.charge_levels:
-            # Charge levels above all signals stop no pixel; infinite ones are allowed.
+            # Levels above all signals stop no pixel; they are lowered, as an infinite one has no code.
             levels = np.minimum([level for _, level in self.charge_levels], self.charge_signal(np.array([high]))[0])
             stopped_first, stopped = self._pmf_given_signal(levels)
             lowest, end = min(lowest, int(stopped_first.min())), max(end, int(stopped_first.max()) + stopped.shape[1])
             stopped = _fill_columns(stopped_first - lowest, stopped, end - lowest)
         probability, slope = self._sum_over_counts(mean_e, low, first - lowest, band, stopped)
-        # The weight of the first count is off by the rounding of n ln µ, which is many thousands: 1e-9 of itself.
+        # Poisson weights share a relative error of 1e-9: the first is exp(n ln µ − …), with terms of many thousands.
         total = probability.sum(axis=1, keepdims=True)
         return CodeProbabilities(lowest, probability / total, slope / total)
 
@@ -370,22 +373,23 @@ class ReadingDistribution:
         return np.clip(np.rint(self.converter_signal(signal)), lowest, lowest + edges.size)
 
     def _find_code_edges(self, signal: np.ndarray) -> tuple[int, np.ndarray]:
-        """Return the lowest code of signals [signal] in DN with read noise, and the upper ends of the codes.
+        """Return the lowest code that signals [signal] in DN can give, and the upper ends of the codes from it on.
 
-        The ends [edge] in DN are the signals with read noise at which the reading changes to the next code, from the
-        lowest code on. The highest code has no end.
+        `signal` is before read noise. The ends [edge] in DN are the signals, read noise included, from which on the
+        reading is the next code. The highest code has no end.
         """
         half_width = NOISE_SD * self.noise_dn
         low, high = float(np.min(signal)) - half_width, float(np.max(signal)) + half_width
+        # Full scale may be infinite: 2⁵³ is the largest integer to which floating-point numbers are exact.
         highest = int(np.rint(min(self.sensor.full_scale_dn, 2.0**53)))
         codes = np.clip(np.rint(self.converter_signal(np.array([low, high]))), 0, highest).astype(np.int64)
         ends = np.arange(codes[0], codes[1]) + 0.5
         if self.response or self.digital:
             return int(codes[0]), invert_transfer(self.converter_signal, ends, low, high)
-        curvature, response = self.sensor.curvature, ends - self.sensor.black_level_dn
-        edges = remove_curvature(response, curvature)
-        # A response beyond the extremum 1/(4 curvature) is reached by no signal, or by all for a negative curvature.
-        return int(codes[0]), np.where(response * curvature >= 0.25, np.copysign(np.inf, curvature), edges)
+        curvature, ends_above_black = self.sensor.curvature, ends - self.sensor.black_level_dn
+        edges = remove_curvature(ends_above_black, curvature)
+        # The response has the extremum 1/(4 curvature): no signal exceeds a maximum, every signal exceeds a minimum.
+        return int(codes[0]), np.where(ends_above_black * curvature >= 0.25, np.copysign(np.inf, curvature), edges)
 
     def _at_readings(
         self, reading: ArrayLike, light: ArrayLike, values_of: Callable, outside: tuple[float, float]

@@ -158,9 +158,10 @@ class ReadingTable:
     ) -> np.ndarray:
         """Return the moments of `with_random_factor` [moment, light] at light [light] in DN.
 
-        `factor` and `weight` [value] are as there, with values of ln g that are `step` apart.
-        A reading depends on the product of factor and light, so that averages are convolutions over ln L.
+        The factors g (`factor` [value], with probabilities `weight` [value]) are uniform in ln g, `step` apart. A
+        reading depends on the product of factor and light, so that averages are convolutions over ln L.
         """
+        # Light at which averages are taken, uniform in ln L, and the products g L that occur there.
         ln_light = np.arange(np.log(LEAST_CONVOLVED_LIGHT) - step, np.log(light[-1]) + 2 * step, step)
         product = np.exp(ln_light[0] + np.log(factor[0]) + step * np.arange(ln_light.size + factor.size - 1))
         moments = self.moments(product + pedestal_dn)
@@ -169,12 +170,13 @@ class ReadingTable:
                   product * (moments.variance_slope + 2 * moments.mean * moments.mean_slope))  # fmt: skip
         mean, square, mean_slope, square_slope = (np.correlate(values, weight, "valid") for values in powers)
         variance, variance_slope = square - mean**2, square_slope - 2 * mean * mean_slope
-        x = np.log(light)
+        # Interpolated from the uniform values of ln L to those of `light`.
+        wanted = np.log(light)
         return np.stack([
-            CubicHermiteSpline(ln_light, mean, mean_slope)(x),
-            CubicHermiteSpline(ln_light, variance, variance_slope)(x),
-            np.interp(x, ln_light, mean_slope) / light,
-            np.interp(x, ln_light, variance_slope) / light,
+            CubicHermiteSpline(ln_light, mean, mean_slope)(wanted),
+            CubicHermiteSpline(ln_light, variance, variance_slope)(wanted),
+            np.interp(wanted, ln_light, mean_slope) / light,
+            np.interp(wanted, ln_light, variance_slope) / light,
         ])  # fmt: skip
 
 
