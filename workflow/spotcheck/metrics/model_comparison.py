@@ -78,12 +78,13 @@ def compare_models(declared: xr.Dataset, extended: xr.Dataset) -> list[ComparedM
             series = [ds[variable].sel(source=source) for ds, source in sources]
         choice = {dim: label for dim, label in PAPER_CHOICE.items() if dim in series[0].dims}
         measured, *simulated = (values.sel(choice).astype(float).where(np.isfinite) for values in series)
-        # Repeats are numbered by their position on the grid.
+        # The position of a repeat on the grid is its number, which decides whether it is held out.
         is_held_out = held_out_repeats(np.arange(measured.sizes["repeat"]))
-        tested = measured.isel(repeat=is_held_out).mean("repeat").fillna(measured.mean("repeat"))
-        statistics = (tested, measured.std("repeat", ddof=1), *(values.mean("repeat") for values in simulated))
-        for position in np.argwhere(tested.notnull().values).tolist():
-            index = dict(zip(map(str, tested.dims), position, strict=True))
+        # Mean over held-out repeats; over all in conditions where none of those has a value.
+        measured_mean = measured.isel(repeat=is_held_out).mean("repeat").fillna(measured.mean("repeat"))
+        statistics = (measured_mean, measured.std("repeat", ddof=1), *(values.mean("repeat") for values in simulated))
+        for position in np.argwhere(measured_mean.notnull().values).tolist():
+            index = dict(zip(map(str, measured_mean.dims), position, strict=True))
             # Dimensions without a coordinate were not recorded.
             conditions = {dim: float(declared[dim][k]) for dim, k in index.items() if dim in declared.coords}
             rows.append(
