@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from spotcheck.fitting.beam_axes import SpotWidths, fit_beam_axes, project_widths
-from spotcheck.fitting.scan_caustic import compute_caustic, select_beam_rows
+from spotcheck.fitting.scan_caustic import compute_caustic, select_beam_axes
 from tests.samples.scans import INSTRUMENT, PITCH, fits_of_scan, radius_of
 
 Z = np.linspace(-0.05, 0.25, 15)
@@ -73,7 +73,7 @@ def test_each_axis_gives_its_beam_back(beam):
     for name, want in (("waist_radius", waists), ("waist_position", positions), ("m2", m2s)):
         np.testing.assert_allclose(found[name].values[:2], np.array(want)[order], rtol=1e-4)
     assert found["beam"] == "simple astigmatic" and np.isnan(found["m2"].values[2])
-    assert next(iter(select_beam_rows(found))) == f"axis at {float(found['azimuth']):.1f}°"
+    assert next(iter(select_beam_axes(found))) == f"axis at {float(found['azimuth']):.1f}°"
 
 
 def test_errors_are_those_of_repeated_scans():
@@ -102,7 +102,7 @@ def test_a_round_beam_has_an_m2_of_its_mean():
         truth = matrices(Z, waists, (0.1, 0.1), (1.2, 1.2), 25.0)
         found = beam_of(fitted(truth, 0.002, rng))
         mean = found.sel(axis="mean")
-        own = list(select_beam_rows(found))
+        own = list(select_beam_axes(found))
         assert found["beam"] == "stigmatic" and len(own) == len(rows)
         assert all(words.startswith(want) for words, want in zip(own, rows, strict=True))
         assert abs(float(mean["m2"]) - 1.2) < 4.5 * float(mean["m2_stderr"]) + 1e-3

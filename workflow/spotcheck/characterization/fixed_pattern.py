@@ -99,6 +99,9 @@ def compute_spectrum(image: np.ndarray) -> Spectrum:
 def add_patterns(ds: xr.Dataset, dataset: Dataset, transfer: Transfer) -> xr.Dataset:
     """Add images and spectra of the levels that `select_levels` chooses to `ds`, and return it.
 
+    The variables of the dark level are `dark_picture`, `dark_along_rows`, `dark_along_columns`, and the numbers
+    `dark_shown_side`, `dark_shown_noise` and `dark_shown_at` (its mean reading). Those of the flat begin with `flat_`.
+
     Parameters
     ----------
     ds : content of transfer.nc, which is changed in place.

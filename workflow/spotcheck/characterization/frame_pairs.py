@@ -51,9 +51,10 @@ LOG_MARGIN = 1.0
 
 
 def _multiply_by_neighbours(residual: np.ndarray) -> np.ndarray:
-    """Return each residual [block, pixel] times the mean of its right and lower neighbours.
+    """Return each residual times the mean of its right and lower neighbours [block, pixel] in DN².
 
-    It is 0 in the last row and column of a block.
+    The sum of the products shows whether neighbours correlate. The product is 0 in the last row and column of a block.
+    `residual` is [block, pixel] in DN.
     """
     image = residual.reshape(-1, SIDE, SIDE)
     product = np.zeros_like(image)

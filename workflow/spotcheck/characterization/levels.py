@@ -86,6 +86,7 @@ def group_frames(dataset: Dataset) -> dict[tuple[str, float, float], list[Frame]
     groups: dict[tuple[str, float, float], list[Frame]] = {}
     for frame in dataset.frames:
         if frame.kind in ("flat", "dark"):
+            # Keys with NaN agree because it is always the same object, `np.nan`.
             exposure_s = np.nan if frame.exposure_s is None else frame.exposure_s
             groups.setdefault((frame.kind, exposure_s, read_photons(frame)), []).append(frame)
     return groups

@@ -31,7 +31,8 @@ def find_missing_codes(images: Sequence[np.ndarray]) -> tuple[int, ...]:
         return ()
     counts = np.bincount(codes, minlength=1).astype(float)
     used_codes = np.flatnonzero(counts)
-    # A missing code needs neighbours on both sides. One code more is required, since 0 may be among them.
+    # A missing code needs `NEIGHBOURS` codes that occur on each side. One more is required, since a gap above code 0
+    # does not count.
     if len(used_codes) < 2 * NEIGHBOURS + 1:
         return ()
     lowest = used_codes[1] if used_codes[0] == 0 else used_codes[0]

@@ -5,10 +5,12 @@ the variance of one pixel, and light that varies along rows or along columns alo
 the mean of d at the nine places around, in which all pixels but four corners cancel.
 
 A noise curve is the variance of d against the grey level L above black, the mean of the same four pixels. It follows
-floor + K L + (c L)²: read noise and rounding [DN²], shot noise with the gain K [DN/e-], and texture (unlike pixels or
-speckle) of the contrast c, which is fitted if it is significant. L is independent of d: given their sum, the variance
-of Poisson electrons with one mean is that of the sum. Read noise does not depend on the light, so the darkest pixels
-form one bin.
+floor + K L + (c L)²: read noise and rounding [DN²], shot noise with the gain K [DN/e-], and texture of the contrast c.
+Texture is speckle, or pixels of different gain; it is fitted if it is significant.
+
+Differences are sorted into bins of L. This does not bias their variance: given the sum of the Poisson electrons of
+four pixels of one mean, the variance of d is a quarter of this sum. Read noise does not depend on the light, so the
+darkest pixels form one bin.
 """
 
 from dataclasses import dataclass
@@ -247,20 +249,21 @@ def fit_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
 
 
 def _estimate_gain(curve: NoiseCurve, black_dn: float) -> GainEstimate | None:
-    """Return gain and noise floor as `fit_gain` does, whether significant or not."""
+    """Return gain and noise floor as `fit_gain` does, whether the gain is significant or not."""
     if curve.level.size < MIN_BINS:
         return None
     linear, textured = (_fit_curve(curve, black_dn, terms) for terms in (2, 3))
-    texture = textured.value[2]
-    has_texture = texture > TEXTURE_SD * np.sqrt(textured.covariance[2, 2])
+    squared_contrast = textured.value[2]
+    has_texture = squared_contrast > TEXTURE_SD * np.sqrt(textured.covariance[2, 2])
     fit = textured if has_texture else linear
-    # A deviation of the texture's variance from (c L)² looks like gain: a part `TEXTURE_ERROR` of c² L² adds this part
-    # of c² L to the slope, here at the mean level.
-    deviation = TEXTURE_ERROR * abs(texture) * float(np.mean(curve.level - black_dn)) if has_texture else 0.0
-    gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), deviation))
-    # The lower of the ends of both fits: texture that is not significant is left out of the linear fit, whose gain it
-    # raises.
-    textured_error = float(np.hypot(np.sqrt(textured.covariance[1, 1]), deviation))
+    # The variance of texture may differ from c² L² by the part `TEXTURE_ERROR`. The fit takes the difference for shot
+    # noise K L, so the error of K is this part of c² L, at the mean level L.
+    mean_light = float(np.mean(curve.level - black_dn))
+    texture_error = TEXTURE_ERROR * abs(squared_contrast) * mean_light if has_texture else 0.0
+    gain, error = float(fit.value[1]), float(np.hypot(np.sqrt(fit.covariance[1, 1]), texture_error))
+    # Texture that is not significant is not part of the fit, and raises its gain. The interval therefore extends to the
+    # lower of the ends of both fits.
+    textured_error = float(np.hypot(np.sqrt(textured.covariance[1, 1]), texture_error))
     low = min(float(textured.value[1]) - INTERVAL_SD * textured_error, gain - INTERVAL_SD * error)
     floor, floor_error = float(fit.value[0]), float(np.sqrt(fit.covariance[0, 0]))
     return GainEstimate(gain, error, floor, floor_error, max(low, 0.0))

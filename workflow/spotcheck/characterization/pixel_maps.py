@@ -68,10 +68,10 @@ class SensorMaps:
     def at(self, exposure_s: float | None) -> PixelMaps:
         """Return offsets [DN] and relative gains of the pixels at an exposure [s]; None means that of the darks."""
         offset, variance = self.offset.values, self.offset.stderr**2
-        difference_s = 0.0 if exposure_s is None else exposure_s - self.exposure_s
-        if self.slope is not None and np.isfinite(difference_s):
-            offset = offset + difference_s * self.slope.values
-            variance = variance + (difference_s * self.slope.stderr) ** 2
+        longer_s = 0.0 if exposure_s is None else exposure_s - self.exposure_s
+        if self.slope is not None and np.isfinite(longer_s):
+            offset = offset + longer_s * self.slope.values
+            variance = variance + (longer_s * self.slope.stderr) ** 2
         stderr = float(np.sqrt(variance))
         if self.gain is None:
             # All pixels are alike; a pixel without an offset stays unknown.

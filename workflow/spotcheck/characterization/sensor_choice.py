@@ -211,17 +211,21 @@ def _subtract_dark_current(values: SourceTable, instrument: Instrument, exposure
 
 
 def _add_spots(values: SourceTable, spots: SpotEstimates, has_black_level: bool, is_top_hat: bool) -> None:
-    """Add gain, full well and read noise from spots to the table; electrons are those of the gain in use.
+    """Add gain, full well and read noise from spots to the table.
+
+    Full well and read noise are converted to electrons by the gain of the best source. Without any gain they are not
+    added.
 
     Parameters
     ----------
     values : table with the values of the other sources.
     spots : estimates from spots in DN. `gain` has gain and noise floor, and `low`, the lower end of the interval of the
-        gain; `saturation` is a level over black with its error; `zero_level_dn` is the level of the rims if the black
-        level is unknown.
+        gain. `saturation` is the reading over black at which spots saturate, with its error. `is_noise_lost` says that
+        saturated pixels have much less than shot noise. `zero_level_dn` is the reading from which light was counted:
+        that of the rims if the black level is unknown.
     has_black_level : whether the black level is known from another source.
-    is_top_hat : whether the light itself has a plateau. The plateau of the readings then counts as saturation only if
-        its pixels have much less than shot noise.
+    is_top_hat : whether the light itself has a plateau. A plateau of the readings then counts as saturation of the
+        sensor only if `is_noise_lost`.
     """
     if spots.gain is not None:
         # Texture that was not detected raises the gain. The error therefore reaches down to the lower end of the gain's
@@ -243,8 +247,9 @@ def _add_spots(values: SourceTable, spots: SpotEstimates, has_black_level: bool,
         # noise of a floor of one standard error.
         error = min(floor_error / (2 * np.sqrt(floor)) if floor > 0 else np.inf, np.sqrt(floor_error)) / gain.value
         if not has_black_level:
-            # Light was counted from the rims, which may contain light themselves. The error covers the extreme case
-            # that their whole reading is light, whose shot noise K L is then part of the floor.
+            # Light was counted from the rims, which may contain light themselves. In the extreme case their whole
+            # reading L is light. The floor then contains its shot noise K L, and without it is `dark_floor`. The error
+            # covers this case.
             dark_floor = max(floor - gain.value * max(spots.zero_level_dn, 0.0), 0.0)
             error = float(np.hypot(error, noise - np.sqrt(dark_floor) / gain.value))
         stderr = float(np.hypot(error, noise * relative_gain_error))

@@ -10,7 +10,7 @@ spotcheck caustic my-frames --fits out/my-frames/fits.nc --output out/my-frames/
 import argparse
 
 from spotcheck.dataset import folder
-from spotcheck.fitting.scan_caustic import ESTIMATORS, compute_caustic, explain_no_scan, select_beam_rows
+from spotcheck.fitting.scan_caustic import ESTIMATORS, compute_caustic, explain_no_scan, select_beam_axes
 from spotcheck.fitting.scan_widths import measure_scan_moments
 from spotcheck.io import provenance, store
 from spotcheck.io.number_text import quantity_text
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> None:
     else:
         for estimator in map(str, caustic["estimator"].values):
             # Axis of the beam in words → its row of caustic.nc.
-            for axis, row in select_beam_rows(caustic.sel(estimator=estimator)).items():
+            for axis, row in select_beam_axes(caustic.sel(estimator=estimator)).items():
                 print(
                     f"M² = {quantity_text(float(row['m2']), float(row['m2_stderr']))} ({ESTIMATORS[estimator]}, {axis})"
                 )

@@ -102,10 +102,13 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
 
 
 def _measure_at(dataset: Dataset, frame: Frame, x: float, y: float, side: float) -> SpotMoments | None:
-    """Return the moments of the light of a frame in a square with the centre x, y and the side `side` [px]."""
-    place, side_px = spotfinding.Spot(round(y), round(x), True), round(side)
-    crop = spotfinding.cut_crop(frames.read_masked_image(dataset, frame), place, side_px)
-    return measure_moments(crop, place.column - side_px // 2, place.row - side_px // 2)
+    """Return the moments of the light of a frame in a square with the centre x, y and the side `side` [px].
+
+    The position is that on the sensor, column and row. Returns None if the square has too few lit pixels.
+    """
+    centre, side_px = spotfinding.Spot(round(y), round(x), True), round(side)
+    crop = spotfinding.cut_crop(frames.read_masked_image(dataset, frame), centre, side_px)
+    return measure_moments(crop, centre.column - side_px // 2, centre.row - side_px // 2)
 
 
 def _crop_coordinates(dataset: Dataset, shape: tuple[int, int]) -> xr.Dataset:
@@ -127,15 +130,16 @@ def _crop_coordinates(dataset: Dataset, shape: tuple[int, int]) -> xr.Dataset:
 
 
 def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int) -> dict[str, Any]:
-    """Return the values of `VARIABLES` for one frame [row, column] in DN, NaN at bad pixels.
+    """Return the values of `VARIABLES` by name for one frame [row, column] in DN, NaN at bad pixels.
 
-    `side` is that of the crop [px], and `full_scale` the largest reading [DN]. `flags` are set in the status of both
-    crops, beside those that the pixels give.
+    `side` is that of the crop [px], and `full_scale` the largest reading [DN]. `flags` are bits that are set in the
+    status of both crops, beside those that the pixels give.
     """
     # In the order of `CENTRINGS`.
     spots = (spotfinding.find_light_centroid(pixels, side), spotfinding.find_brightest_pixel(pixels))
     images = np.stack([spotfinding.cut_crop(pixels, spot, side) for spot in spots])
-    reduced, extremes = frames.reduce_frame(pixels), measure_extremes(frames.select_good_readings(pixels))
+    # The fields of `ReducedFrame` are the variables block_mean, row_mean and column_mean.
+    reduced_frame, extremes = frames.reduce_frame(pixels), measure_extremes(frames.select_good_readings(pixels))
     # Readings clip at full scale, or at a plateau below it: many pixels with exactly the highest reading.
     clip = float(extremes.highest) if extremes.has_plateau() else full_scale
     tops, lefts = [spot.row - side // 2 for spot in spots], [spot.column - side // 2 for spot in spots]
@@ -145,14 +149,21 @@ def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int)
         # A crop is masked where it reaches beyond the frame.
         masked_flag = 0 if is_inside else store.flag("masked")
         statuses.append(flags | masked_flag | _flag_readings(image, spots[AT_LIGHT].exists, full_scale, clip))
-    return {"image": images, "top": tops, "left": lefts, "status": statuses} | reduced._asdict()
+    return {"image": images, "top": tops, "left": lefts, "status": statuses} | reduced_frame._asdict()
 
 
 def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: float) -> int:
-    """Return the flags of a crop [row, column] in DN: saturated alone, or black, clipped, both or none (0).
+    """Return the status flags that the readings of a crop give, as bits; 0 if there are none.
 
-    NaN pixels do not count; a crop without any other is saturated. A crop is black if its frame has no light above the
-    noise (`has_spot`). `full_scale` is the largest reading, and `clip` the reading at which the frame is clipped [DN].
+    A crop is saturated if nearly all of its readings are at full scale, or if it has no reading; other flags are then
+    not set. Otherwise it is black if its frame has no spot, and clipped if a reading reaches `clip`.
+
+    Parameters
+    ----------
+    image : crop [row, column] in DN; NaN pixels do not count.
+    has_spot : whether the frame has light above the noise.
+    full_scale : largest possible reading [DN].
+    clip : reading at which the frame is clipped [DN]; a plateau may lie below full scale.
     """
     readings = image[np.isfinite(image)]
     if np.count_nonzero(readings < full_scale) <= MAX_UNCLIPPED_SATURATED * readings.size:
@@ -185,9 +196,9 @@ def _flag_outliers(
     reasons = {outlier.spot: outlier.reason for outlier in outliers}
     for outlier in outliers:
         statuses[outlier.spot] |= store.flag(outlier.flag)
-    # EXCLUDED are all flags by which a frame is set aside, CLEARED_BY_KEEP those that keep = yes clears.
     # Fate of frames and its reason, such as "set aside as black: …" → labels of these frames.
     labels_by_fate: dict[str, list[str]] = {}
+    # EXCLUDED are all flags by which a frame is set aside, CLEARED_BY_KEEP those that keep = yes clears.
     for spot, frame in enumerate(dataset.spots):
         flags = statuses[spot, AT_LIGHT] & store.EXCLUDED
         if frame.keep:

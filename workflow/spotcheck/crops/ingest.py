@@ -1,6 +1,8 @@
 """The ingest stage: check the frames of a dataset and tabulate digest, extremes, clipping and copies (frames.nc).
 
 A digest is the SHA-256 of a file. The manifest (manifest.csv) lists the frames of a dataset, one row for each.
+Impossible readings are constants in place of measured readings, such as those of lost packets, masks and overlays
+(`dataset.impossible_readings`).
 """
 
 import hashlib
@@ -129,14 +131,16 @@ def _decode_frames(
     InputError
         If a file changes while it is read.
     """
+    # Record of each file by its path in the folder, and row of the first frame with given pixels by their digest.
     statistics, records, first_rows = [], dict[str, file_cache.FileRecord](), dict[bytes, int]()
+    # Label of each frame, with its number of impossible readings by reason.
     impossible_counts = []
     for row, frame in enumerate(progress.track(dataset.frames, "reading frames")):
         if frame.path not in records:
             full_path = dataset.folder / frame.path
             records[frame.path] = file_cache.record_file(full_path, before.get(str(full_path)))
-        image, impossible = frames.read_checked_image(dataset, frame)
-        impossible_counts.append((frame.label, impossible.counts))
+        image, impossible_readings = frames.read_checked_image(dataset, frame)
+        impossible_counts.append((frame.label, impossible_readings.counts))
         pixels = frames.select_good_readings(image)
         extremes = measure_extremes(pixels)
         # ASSUME: two exposures that agree in every pixel are copies, as noise makes them differ. Frames with the same

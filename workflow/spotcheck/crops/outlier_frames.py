@@ -39,14 +39,15 @@ MIN_NEIGHBOURS = 2
 SMOOTH_AXES = ("exposure", "z_m")
 # Alternating medians of conditions and sites converge within a few iterations.
 MEDIAN_POLISH_ITERATIONS = 5
-# A pixel is lit if it exceeds the noise of a reading by this factor, of which the median filter leaves 0.41, and this
-# level.
+# A pixel is lit if, after the median filter, its light exceeds this multiple of the noise of an unfiltered reading, and
+# this level [DN]. The filter reduces the noise of a pixel to 0.41.
 LIT_OVER_NOISE, FAINTEST_DN = 3.0, 1.0
 # Fewest lit pixels of a spot whose moments are measured.
 MIN_LIT_PIXELS = 9
 # The border of a crop is 1 px and 1/`BORDER` of its side wide.
 BORDER = 16
-# Standard deviation of pixels over that of a sum per √pixel: the median filter correlates the noise of neighbours.
+# Standard error of a sum of n filtered pixels, over √n times the noise of an unfiltered reading; 1.1 for white noise.
+# The median filter reduces the noise of a pixel but correlates that of neighbours, so that the sum keeps its noise.
 CORRELATED_NOISE = 1.5
 # Column of the width among the quantities of a frame: ln light, ln width, x and y.
 WIDTH = 1
@@ -115,10 +116,12 @@ def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None
     light = float(signal[rows, columns].sum(dtype=float))
     weights = signal[rows, columns] / light
     x, y = float(columns @ weights), float(rows @ weights)
-    squared_radii = ((columns - x) ** 2 + (rows - y) ** 2) / 2
-    variance = float(squared_radii @ weights)
-    # Noise of a pixel in a sum, relative to the light. Each error is this times the norm of the derivatives by the
-    # pixels, such as (r²/variance − 1)/2 for ln sigma.
+    # Squared distance of each lit pixel from the centroid along an axis, averaged over both axes [px²].
+    squared_distances = ((columns - x) ** 2 + (rows - y) ** 2) / 2
+    variance = float(squared_distances @ weights)
+    # Noise of a pixel in a sum, relative to the light. If a pixel changes by the part p of the light, ln light changes
+    # by p, ln sigma by p (squared distance/variance − 1)/2, and x by p (column − x). Each error is the root of the sum
+    # of the squares of these changes over the lit pixels.
     relative_noise = CORRELATED_NOISE * noise / light
     return SpotMoments(
         light=light,
@@ -126,8 +129,8 @@ def measure_moments(crop: np.ndarray, left: int, top: int) -> SpotMoments | None
         x=left + x,
         y=top + y,
         log_light_error=float(relative_noise * np.sqrt(len(rows))),
-        log_sigma_error=float(relative_noise * np.linalg.norm((squared_radii / variance - 1) / 2)),
-        centre_error=float(relative_noise * np.sqrt(squared_radii.sum())),
+        log_sigma_error=float(relative_noise * np.linalg.norm((squared_distances / variance - 1) / 2)),
+        centre_error=float(relative_noise * np.sqrt(squared_distances.sum())),
     )
 
 
@@ -319,11 +322,16 @@ def _subtract_interpolation(position: np.ndarray, values: np.ndarray) -> np.ndar
 
 
 def _classify(deviation: np.ndarray, limit: np.ndarray, sigma: float) -> tuple[str, str] | None:
-    """Return flag and reason of a frame; None unless a quantity is beyond both its gross limits and its `limit`.
+    """Return flag and reason of an outlier frame, see `OutlierFrame`; None for a good one.
 
-    `deviation` and `limit` [quantity] are those of `_Comparison`, `sigma` is the width of its spot [px]. Of several
-    quantities beyond their gross limits, the first of light, width and shift gives the flag, even if only another one
-    is beyond `limit`: a spot that lacks part of its light is displaced as well.
+    A frame is an outlier if a quantity is both gross (beyond `MIN_LIGHT` … `MAX_SHIFT`) and significant (beyond
+    `limit`). The flag names the first gross quantity among light, width and shift. This quantity need not be the
+    significant one: a spot that lacks part of its light is displaced as well.
+
+    Parameters
+    ----------
+    deviation, limit : those of `_Comparison` for this frame [quantity].
+    sigma : width of the spot of this frame [px].
     """
     # A quantity without a limit was not tested.
     tested_deviation = np.where(np.isfinite(limit), deviation, 0.0)

@@ -163,12 +163,15 @@ def _add_averages(ds: xr.Dataset, site_dims: tuple[str, ...]) -> None:
 
 
 def _average_maxima(crops: xr.Dataset) -> np.ndarray:
-    """Return the mean of the crops' maxima [exposure] in DN; NaN at an exposure without a usable crop."""
-    maximum_crops = crops.sel(centring="maximum")
+    """Return the largest reading of a crop, averaged over all sites at each exposure [exposure] in DN.
+
+    It is NaN at an exposure without a usable crop. `crops` is crops.nc; its crops around the brightest pixel are used.
+    """
+    crops_at_maximum = crops.sel(centring="maximum")
     maxima: list[list[float]] = [[] for _ in range(crops.sizes["exposure"])]
     for index in iterate_cells(crops, store.grid_dims(crops)):
-        if is_usable(maximum_crops["status"].isel(index)):
-            maxima[index["exposure"]].append(float(np.nanmax(maximum_crops["image"].isel(index).values)))
+        if is_usable(crops_at_maximum["status"].isel(index)):
+            maxima[index["exposure"]].append(float(np.nanmax(crops_at_maximum["image"].isel(index).values)))
     return np.array([np.mean(values) if values else np.nan for values in maxima])
 
 

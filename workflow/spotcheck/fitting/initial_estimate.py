@@ -17,7 +17,8 @@ from spotcheck.fitting.reading_kernel import compiled
 
 # Blocks along each axis of the grid.
 BLOCKS_PER_AXIS = 60
-# A spot narrower than so many blocks is fitted in a window of pixels, so many widths in each direction.
+# A spot is fitted in a window of pixels if σ along its short axis is at most this number of blocks. The window extends
+# from the centre to each side by this number of σ along the long axis.
 NARROW_BLOCKS, WINDOW_WIDTHS = 1.2, 7.0
 # A block is isolated, and may contain a whole spot, if its light is this multiple of the highest despiked block.
 ISOLATION_RATIO = 2.0
@@ -37,8 +38,8 @@ ALL_FREE = np.ones(7, dtype=np.bool_)
 def _average_blocks(image, size, full_scale):
     """Return the means of size × size pixels, and the same with NaN for blocks with a clipped pixel.
 
-    Both are [block row, block column] in DN, NaN for blocks without a pixel. The first serve to find the spot; the
-    second are fitted. A reading of `full_scale` [DN] or more is clipped.
+    Both are [block row, block column] in DN, NaN for blocks whose pixels are all masked. The first serve to find the
+    spot; the second are fitted. `image` is [row, column] in DN. A reading of `full_scale` [DN] or more is clipped.
     """
     rows, columns = image.shape[0] // size, image.shape[1] // size
     blocks, unclipped = np.empty((rows, columns)), np.empty((rows, columns))
@@ -61,7 +62,8 @@ def _average_blocks(image, size, full_scale):
 def _find_lower_quartile(blocks):
     """Return the lower quartile of the blocks [DN], which estimates the offset; NaN with fewer than `FEWEST_BLOCKS`.
 
-    The median would fail on an overexposed crop, where most pixels read full scale. Blocks that are NaN do not count.
+    The median would fail on an overexposed crop, where most pixels read full scale. `blocks` is [block row, block
+    column] in DN; NaN does not count.
     """
     low, high, count = np.inf, -np.inf, 0
     for value in blocks.flat:
@@ -86,9 +88,10 @@ def _find_lower_quartile(blocks):
 def _estimate_at_half_maximum(blocks):
     """Return θ with lengths in blocks, from the light above half of the highest block, and whether there is any light.
 
-    A block counts at most as much as its highest neighbour ("despiked"), so that a hot pixel is no spot. The size σ of
-    the spot follows from the area above half maximum, 2π σ² ln 2. The shape follows from the second moments of that
-    light; their size is not used, as it depends on the threshold.
+    `blocks` is [block row, block column] in DN, NaN if unknown. A block counts at most as much as its highest neighbour
+    ("despiked"), so that a hot pixel is no spot. The size σ of the spot follows from the area above half maximum,
+    2π σ² ln 2. The shape follows from the second moments of that light; their size is not used, as it depends on the
+    threshold.
     """
     rows, columns = blocks.shape
     theta = np.zeros(7)
@@ -162,11 +165,12 @@ def _convert_to_pixels(theta, size):
 
 @compiled
 def _start_from_one_block(image, blocks, size, theta):
-    """Return whether one block contains a whole spot; if so, fill `theta` [px] with a narrow spot there.
+    """Return whether one block contains a whole spot; if so, fill `theta` with a narrow spot there, lengths in pixels.
 
-    `theta` is the result of `_estimate_at_half_maximum`, which treats an isolated block as a hot pixel. A spot differs:
-    three neighbours of the brightest pixel of a spot of σ 0.7 px have at least a third of its light, wherever the
-    centre is. Those of a hot pixel have none.
+    Before that, `theta` is the result of `_estimate_at_half_maximum`, which treats an isolated block as a hot pixel. A
+    spot differs from a hot pixel by its neighbours: at σ 0.7 px, three neighbours of the brightest pixel have at least
+    a third of its light, wherever the centre is. Those of a hot pixel have none. `image` [row, column] and `blocks`
+    [block row, block column] are in DN; `size` is the side of a block [px].
     """
     highest, row, column = -np.inf, 0, 0
     for j in range(blocks.shape[0]):
@@ -220,11 +224,13 @@ def estimate_start(image, law, top_hat):
 
 @compiled
 def _fit_in_window(image, theta, size, law, top_hat):
-    """Return θ [px] fitted to the pixels around a narrow spot, without those at full scale.
+    """Return θ [7] with lengths in pixels, fitted to the pixels around a narrow spot, without those at full scale.
 
-    `theta` [px] is the start and is overwritten; `size` is the side of a block [px].
+    `theta` is the start in the same form and is overwritten; `size` is the side of a block [px]. The other arguments
+    are those of `estimate_start`.
     """
     major, _, _ = convert_inverse_covariance(theta[3], theta[4], theta[5])
+    # One block more, as the start may be off the centre by a block.
     half_side = math.ceil(WINDOW_WIDTHS * major) + size
     top, left = max(int(theta[2]) - half_side, 0), max(int(theta[1]) - half_side, 0)
     window = image[top : int(theta[2]) + half_side + 1, left : int(theta[1]) + half_side + 1].astype(np.float64)

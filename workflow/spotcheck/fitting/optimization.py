@@ -75,15 +75,18 @@ def compute_theta(point, coordinates):
 
 @compiled
 def _compute_full_jacobian(point, coordinates):
-    """Return ∂θ/∂point [7, 7], θ along rows; with equal widths the first width changes both."""
+    """Return ∂θ/∂point [θ, coordinate] for all seven coordinates of a point [7], free or not.
+
+    With equal widths, the column of the first width is the derivative by both together.
+    """
     jacobian = np.eye(7)
     if not coordinates.uses_widths:
         return jacobian
     major, minor = point[3], point[4]
     cos, sin = math.cos(point[5]), math.sin(point[5])
-    # Negative derivatives of 1/σ² by the major and the minor width, and difference of 1/σ² between both axes.
+    # u = −∂(1/major²)/∂major and v = −∂(1/minor²)/∂minor [1/px³]; w is the difference of the inverse variances [1/px²].
     u, v, w = 2 / major**3, 2 / minor**3, 1 / major**2 - 1 / minor**2
-    # Derivatives of a, b, c by the major width, the minor width and the orientation.
+    # Derivatives of a, b, c (see `convert_widths`) by the major width, the minor width and the orientation.
     jacobian[3, 3], jacobian[4, 3], jacobian[5, 3] = -cos * cos * u, -cos * sin * u, -sin * sin * u
     jacobian[3, 4], jacobian[4, 4], jacobian[5, 4] = -sin * sin * v, cos * sin * v, -cos * cos * v
     jacobian[3, 5], jacobian[4, 5], jacobian[5, 5] = -2 * cos * sin * w, (cos * cos - sin * sin) * w, 2 * cos * sin * w

@@ -423,10 +423,12 @@ def compute_row_variances(readings, mean, electrons, law, weight, score):
 
 
 @compiled
-def _clipped_normal_variance(b):
-    """Return the variance of min(z, b) of a standard normal number z."""
-    if b > FAR:
+def _clipped_normal_variance(a):
+    """Return the variance of min(z, a), where z is a standard normal number and a the clip."""
+    if a > FAR:
         return 1.0
-    pdf, tail = math.exp(-b * b / 2) * INVERSE_SQRT_2PI, 0.5 * math.erfc(b * INVERSE_SQRT_2)
-    mean = b * tail - pdf
-    return max(b * b * tail + (1 - tail) - b * pdf - mean * mean, 0.0)
+    # Density at the clip, and probability of being clipped.
+    pdf, tail = math.exp(-a * a / 2) * INVERSE_SQRT_2PI, 0.5 * math.erfc(a * INVERSE_SQRT_2)
+    mean = a * tail - pdf
+    # Mean square less the square of the mean; rounding may make the difference negative.
+    return max(a * a * tail + (1 - tail) - a * pdf - mean * mean, 0.0)

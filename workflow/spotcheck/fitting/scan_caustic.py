@@ -80,6 +80,7 @@ def compute_caustic(fits: xr.Dataset, instrument: Instrument, moments: MomentsBy
         dimension `estimator` is the one to quote. The variable `beam` is "stigmatic" (ratio of the axes at least 0.87
         in every frame) or "simple astigmatic". The attribute `missing` says which estimator gives no caustic, and why.
     """
+    # `not_recorded` names the axes of the grid for which the manifest has no values.
     attributes = {name: fits.attrs[name] for name in ("title", "dataset", "not_recorded")}
     if reason := explain_no_scan(fits, instrument):
         return xr.Dataset(attrs=attributes | {"skipped": reason})
@@ -156,7 +157,13 @@ def _compute_table(
 
 
 def describe_axis_rotation(axes: BeamAxes, z: np.ndarray) -> str:
-    """Return the reason why a beam whose axes rotate has no M²; `z` [spot] in m are the distances of the spots."""
+    """Return the reason why a beam whose axes rotate along z has no M², as a clause.
+
+    Parameters
+    ----------
+    axes : axes of the beam, with the most rotated spot in `rotated_spot`: its index and its angle [deg].
+    z : distances of the spots from which `axes` was computed [spot] in m.
+    """
     assert axes.rotated_spot is not None
     spot, angle = axes.rotated_spot
     return (
@@ -165,15 +172,20 @@ def describe_axis_rotation(axes: BeamAxes, z: np.ndarray) -> str:
     )
 
 
-def select_beam_rows(ds: xr.Dataset) -> dict[str, xr.Dataset]:
-    """Return the parts that describe the beam, by label: both axes, or their mean for a round beam.
+def select_beam_axes(ds: xr.Dataset) -> dict[str, xr.Dataset]:
+    """Return the content of caustic.nc along the axes of the beam, by a label for tables and figures.
 
-    `ds` is the content of caustic.nc for one estimator.
+    For a beam that is round within its noise it is that of the mean of both axes alone.
+
+    Parameters
+    ----------
+    ds : content of caustic.nc for one estimator.
     """
+    # The direction of the axes of a round beam has an infinite error.
     if not np.isfinite(float(ds["azimuth_stderr"])):
         return {"mean of both axes": ds.sel(axis="mean")}
-    azimuth = float(ds["azimuth"])
-    return {f"axis at {azimuth + turn:.1f}°": ds.sel(axis=name) for name, turn in (("x", 0), ("y", 90))}
+    azimuth_deg = float(ds["azimuth"])
+    return {f"axis at {azimuth_deg + shift:.1f}°": ds.sel(axis=name) for name, shift in (("x", 0), ("y", 90))}
 
 
 def _check_m2(ds: xr.Dataset, is_gaussian: bool, pitch: float, wavelength: float) -> list[str]:

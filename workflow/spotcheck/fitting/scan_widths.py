@@ -76,9 +76,11 @@ def collect_moment_widths(moments: MomentsByCell, shape: tuple[int, ...]) -> Sca
 
 
 def convert_moments(moments: Moments) -> tuple[float, ...] | None:
-    """Return the fields of `SpotWidths` (widths σ [px], direction [deg], their errors) by second moments.
+    """Return the six fields of `SpotWidths` in their order, from the second moments of one spot.
 
-    None if D4σ does not follow the standard: its error is too large, or its area exceeds the frame.
+    They are the widths σ = D4σ/4 along the longer and the shorter axis [px], the direction of the longer axis [deg],
+    and the standard errors of these three. Returns None if D4σ has a large error (`is_measured`), or if its area of
+    integration extends beyond the frame (`is_whole`), so that it is not the width of the standard.
     """
     if not (moments.is_measured and moments.is_whole):
         return None

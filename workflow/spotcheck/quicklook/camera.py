@@ -111,7 +111,7 @@ def find_clip_level(pixels: np.ndarray, bits: int | None) -> float:
     highest = float(readings.max())
     if bits is not None and highest >= 2**bits - 1:
         return highest
-    # `measure_extremes` needs unsigned integers. In other numbers, pixels that repeat the highest one are a plateau.
+    # `measure_extremes` needs whole numbers from 0 on. In others, pixels that repeat the highest one are a plateau.
     if not np.array_equal(readings, np.rint(readings)) or readings.min() < 0:
         return highest if np.count_nonzero(readings == highest) >= MIN_PLATEAU_PX else np.inf
     return highest if measure_extremes(readings.astype(np.int64)).has_plateau() else np.inf
@@ -120,9 +120,9 @@ def find_clip_level(pixels: np.ndarray, bits: int | None) -> float:
 def _estimate_step(images: Sequence[Image]) -> float:
     """Return the rounding step [DN] of the images of a camera.
 
-    It is 1 for readings of a camera: unsigned integers, other integers with plausible noise, and images without noise.
-    For other numbers, such as a mean of frames or a normalized image, it is the largest power of ten of at most half
-    their median noise.
+    It is 1 for unsigned integers, for other integers whose noise is that of a camera, and for images that are uniform.
+    For other numbers, such as a mean of frames or a normalized image, it is the largest power of ten that is at most
+    1/`NOISE_STEPS` of their median noise.
     """
     if any(image.bits is not None for image in images):
         return 1.0

@@ -1,4 +1,8 @@
-"""Input images of a first look: arrays, files or folders, with the metadata that their files state."""
+"""Input images of a first look: arrays, files or folders, with the metadata that their files state.
+
+Impossible readings are constants in place of measured readings (`dataset.impossible_readings`). Most are in the `mask`
+of `ImpossibleReadings`; those of faint light that a threshold cut off are in `is_cut`.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -46,7 +50,8 @@ class Image:
     def read(self) -> np.ndarray:
         """Return the readings [rows, columns] in DN as a new float64 array, NaN where not measured.
 
-        Masked, infinite and impossible readings were not measured. Raises `InputError` if no reading is finite.
+        Pixels that were not measured are masked ones, infinite or NaN ones, and those with impossible readings. Raises
+        `InputError` if no reading is finite.
         """
         pixels, is_finite = self._read_finite()
         if not is_finite.any():
@@ -132,8 +137,8 @@ def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
 def _select_readable(pages: Sequence[Image], name: str) -> tuple[list[Image], list[InputError]]:
     """Return the pages of a file whose pixels can be decoded and hold a reading, and the errors of the others.
 
-    `name` is the name of the file. There is one error if no page is readable, and otherwise at most `MOST_ERRORS` and
-    one with the number of the rest.
+    If no page is readable, only the first error is returned. If more than `MOST_ERRORS` pages are not, one error with
+    their number replaces those beyond the first `MOST_ERRORS`. `name` is the name of the file in that error.
     """
     readable_pages: list[Image] = []
     errors: list[InputError] = []
@@ -204,18 +209,20 @@ def _open_pages(path: Path, tables: TableReader) -> Iterator[Image]:
 
 
 def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:
-    """Return the page headers of a stack, and the brightest channel of a colour image: a laser excites mainly one.
+    """Return the page headers of a stack, and the colour plane to read from its pages.
 
-    The colour is `MONOCHROME` for images without colours. The first page of a stack decides for all pages. Raises
-    `InputError` if the stack is neither of one channel nor of RGB.
+    The plane is `MONOCHROME` for images without colours. For RGB images it is the channel that is brightest on the
+    first page, since a laser excites mainly one. `name` is the name of the stack in messages. Raises `InputError` if
+    the stack is neither of one channel nor of RGB.
     """
     try:
         return files.list_pages(path, name, allow_floats=True), MONOCHROME
-    except InputError as refusal:
+    except InputError as monochrome_error:
+        # The headers of RGB images are the same for each channel.
         try:
             pages = files.list_pages(path, name, Colour(CHANNELS[0]), allow_floats=True)
         except InputError:
-            raise refusal from None
+            raise monochrome_error from None
     sums = {channel: files.read_pixels(path, 0, name, Colour(channel), allow_floats=True).sum(dtype=float)
             for channel in CHANNELS}  # fmt: skip
     return pages, Colour(max(sums, key=sums.__getitem__))
@@ -224,7 +231,8 @@ def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:
 def _wrap_array(pixels: np.ndarray, number: int) -> Image:
     """Return an array as an image; `number` is its position in the inputs, from 0.
 
-    Raises `InputError` if it is not two-dimensional and numeric, or its bytes are swapped.
+    Raises `InputError` if it is not two-dimensional and numeric, or if its readings of 16 bits were decoded in the
+    wrong byte order.
     """
     array = np.ma.asanyarray(pixels)
     if array.ndim != 2 or array.dtype.kind not in "uif" or not array.size:
@@ -232,6 +240,7 @@ def _wrap_array(pixels: np.ndarray, number: int) -> Image:
             f"images: number {number} has the shape {array.shape} and the type {array.dtype}; each must be numbers"
             " [rows, columns]"
         )
+    # The check takes numbers in native order. It finds bytes that are swapped in the numbers themselves.
     try:
         check_byte_order(np.ma.getdata(array).astype(array.dtype.newbyteorder("="), copy=False))
     except ImageError as error:

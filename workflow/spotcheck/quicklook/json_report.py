@@ -41,7 +41,12 @@ def build_json(look: Look) -> dict[str, Any]:
 
 
 def _convert_image(image: ImageResult, pitch_m: float | None) -> dict[str, Any]:
-    """Return the results of one image; `pitch_m` is the pixel pitch [m], None if unknown."""
+    """Return the results of one image.
+
+    `stop_dn` is the clip level, `clipped_px` the number of pixels at it, and `d4sigma_widened_by_clip` the factor by
+    which they widen D4σ. `misfit_of_peak` is the rms residual of the fit as a fraction of the peak. `left_out` is a
+    sentence about outlier pixels, and `beware` a list of cautions. `pitch_m` is the pixel pitch [m], None if unknown.
+    """
     rows, columns = image.shape
     return {
         "name": image.name,

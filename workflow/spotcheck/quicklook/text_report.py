@@ -48,8 +48,8 @@ Rows = list[tuple[str, str]]
 class Caution(NamedTuple):
     """A caution about a number."""
 
-    sentence: str  # the same for all images
-    value: str = ""  # what the sentence ends with, for this image
+    sentence: str  # sentence, which is the same for all images
+    value: str = ""  # number or phrase of this image with which the sentence ends; "" if it ends without one
 
 
 def format_look(look: Look) -> str:

@@ -22,7 +22,7 @@ from spotcheck.errors import InputError
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.fit_results import PARAMETERS
 from spotcheck.fitting.precision import summarize_precision
-from spotcheck.fitting.scan_caustic import ESTIMATORS, select_beam_rows
+from spotcheck.fitting.scan_caustic import ESTIMATORS, select_beam_axes
 from spotcheck.io import store
 from spotcheck.io.number_text import number_text, quantity_text
 from spotcheck.metrics.model_comparison import compare_models, summarise_comparison
@@ -217,7 +217,7 @@ def describe_caustic(caustic: xr.Dataset, citations: Citations) -> Markup:
     for estimator in map(str, caustic["estimator"].values):
         ds = caustic.sel(estimator=estimator)
         clauses = []
-        for axis_name, beam in select_beam_rows(ds).items():
+        for axis_name, beam in select_beam_axes(ds).items():
             quantities = []
             for variable, words, unit in BEAM:
                 text = quantity_text(float(beam[variable]), float(beam[f"{variable}_stderr"]), unit)

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.fitting.hyperbola import Hyperbola, compute_interval_half_width
-from spotcheck.fitting.scan_caustic import CONDITION, FIT, select_beam_rows
+from spotcheck.fitting.scan_caustic import CONDITION, FIT, select_beam_axes
 from spotcheck.io.number_text import quantity_text
 from spotcheck.report.figures import series, style
 from spotcheck.report.figures.entry import Category, Entry
@@ -86,7 +86,7 @@ def _read_hyperbola(beam: xr.Dataset) -> Hyperbola:
 def _write_caption(ds: xr.Dataset) -> str:
     """Return the caption; `ds` is the content of caustic.nc for the estimator shown."""
     # Part of caustic.nc for each axis by its name as text: both axes if the azimuth is known, else only their mean.
-    beam_by_name = select_beam_rows(ds)
+    beam_by_name = select_beam_axes(ds)
     scatters = " and ".join(f"{100 * float(beam['scatter']):.2g} %" for beam in beam_by_name.values())
     azimuth = quantity_text(float(ds["azimuth"]), float(ds["azimuth_stderr"]))
     direction = (
