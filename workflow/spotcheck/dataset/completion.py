@@ -193,7 +193,8 @@ def _edit_lines(
     """
     # Lines and line ends alternate.
     parts = re.split(r"(\r\n|\r|\n)", read_text(path))
-    (header_number, _), *_ = lines = list_lines(path)
+    lines = list_lines(path)
+    header_number = lines[0][0]
     for number, line in lines:
         new_cells = cells_of_line.get(number, {})
         appended = new_columns if number == header_number else [new_cells.get(column, "") for column in new_columns]
@@ -209,7 +210,7 @@ def _edit_lines(
 
 
 def _split_cells(line: str) -> list[str]:
-    """Return the cells of a line as they are written, with their quotes."""
+    """Return the cells of a line of CSV, in quotes where they need them, so that commas can join them again."""
     if '"' not in line:
         return line.split(",")
     cells = []
@@ -246,11 +247,12 @@ def complete_instrument(path: Path, keys: template.KnownKeys, answers: Collectio
     changes, remarks = [], []
     for key, (value, source) in keys.items():
         if key in given_keys:
-            if key in answers and not _has_added(text, text, key, value):
+            # With the same text twice, this compares the written value with the answer.
+            if key in answers and not _sets_only(key, value, text, text):
                 remarks.append(f"instrument.yaml: {key} has another value, which stays; change it there if it is wrong")
             continue
         new_text = _insert_key(text, key, value, source)
-        if _has_added(text, new_text, key, value):
+        if _sets_only(key, value, text, new_text):
             text = new_text
             changes.append(f"instrument.yaml: {key} is {value} ({source})")
         else:
@@ -275,7 +277,15 @@ def _take_back_budget(completion: Completion) -> Completion:
 
 
 def _insert_key(text: str, key: str, value: object, source: str) -> str:
-    """Return the text of an instrument file with the line of a key, in place of its comment if there is one."""
+    """Return the text of an instrument file with a new line for a key, in place of its comment if there is one.
+
+    Parameters
+    ----------
+    text : content of the file.
+    key : "section.name", or the name of a key of the top level.
+    value : value of the key.
+    source : where the value was found, which becomes a comment behind it.
+    """
     section, _, name = key.rpartition(".")
     line_end = "\r\n" if "\r\n" in text else "\n"
     lines = text.splitlines()
@@ -301,13 +311,21 @@ def _insert_key(text: str, key: str, value: object, source: str) -> str:
     return line_end.join(lines) + line_end
 
 
-def _has_added(text: str, new_text: str, key: str, value: object) -> bool:
-    """Return whether a new text of an instrument file differs from the old one by the value of a key alone."""
+def _sets_only(key: str, value: object, text: str, new_text: str) -> bool:
+    """Return whether a new text of an instrument file has the keys of the old one, and one key with this value.
+
+    Parameters
+    ----------
+    key : "section.name", or the name of a key of the top level.
+    value : value that the key must have in the new text; the old one may lack the key or have another value.
+    text : content of the old file, which is valid.
+    new_text : content of the new file; if it is not valid, the result is False.
+    """
     content = parse_keys(text, "instrument.yaml")
     section, _, name = key.rpartition(".")
-    added = parse_keys(f"{name}: {value}", "instrument.yaml")
-    wanted = content | ({section: (content.get(section) or {}) | added} if section else added)
+    new_key = parse_keys(f"{name}: {value}", "instrument.yaml")
+    expected = content | ({section: (content.get(section) or {}) | new_key} if section else new_key)
     try:
-        return parse_keys(new_text, "instrument.yaml") == wanted
+        return parse_keys(new_text, "instrument.yaml") == expected
     except InputError:
         return False

@@ -16,19 +16,17 @@ EXPOSURE_TOLERANCE = 1e-3
 ANGLE_TOLERANCE_DEG = 0.05
 # Tolerance of declared conditions relative to their range: a position has no natural zero.
 RANGE_TOLERANCE = 1e-3
-# If most values of a column differ and their range, relative to the largest, is below this, they look like readings of
-# one set value: by column, and for all other columns. Sweeps of exposures and of positions have larger ranges.
+# Largest range of a column [relative to its largest value] at which values that mostly differ look like readings of one
+# set value: by column, and for all other columns. Sweeps of exposures and of positions have larger ranges.
 READ_BACK_RANGE, READ_BACK_RANGE_DEFAULT = {"exposure_s": 0.1}, 1e-3
-# A column with fewer distinct values than this is not suspected.
+# Fewest distinct values of a column that may look like readings of fewer set values.
 FEWEST_VALUES = 3
-
-
-# Repeats from which on every third one is held out.
+# Fewest repeats of a dataset of which some are held out.
 FEWEST_REPEATS = 6
 
 
 def held_out_repeats(repeats: np.ndarray) -> np.ndarray:
-    """Return which repeats are held out, for a validation: every third one (2, 5, 8, …) of six or more.
+    """Return which frames are held out for a validation: every third repeat (2, 5, 8, …) if there are six or more.
 
     Parameters
     ----------
@@ -99,7 +97,7 @@ def _get_tolerances(column: str, distinct: np.ndarray) -> np.ndarray:
 
 
 def check_spread(column: str, values: Sequence[float | None]) -> list[str]:
-    """Return remarks on a column whose merged values still look like readings of fewer set values.
+    """Return remarks on a column whose values, although merged, look like scattered readings of fewer set values.
 
     Parameters
     ----------
@@ -116,7 +114,7 @@ def check_spread(column: str, values: Sequence[float | None]) -> list[str]:
     if len(distinct) < FEWEST_VALUES:
         return []
     low, high = distinct[0], distinct[-1]
-    advice = "write the value that was set, the same in every row that shares it, if they are read back"
+    advice = "if a device reported them, write in each row the value that was set"
     read_back_range = READ_BACK_RANGE.get(column, READ_BACK_RANGE_DEFAULT)
     if len(distinct) > len(known_values) / 2 and high - low < read_back_range * max(abs(low), abs(high)):
         return [

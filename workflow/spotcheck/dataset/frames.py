@@ -1,8 +1,9 @@
 """Reading of frames, masks of their pixels, and the reduction of frames to block, row and column means.
 
 A frame is one row of the manifest: a file, or a page of a file that holds a stack. Bad pixels, which instrument.yaml
-names, and impossible readings are NaN in masked images. On a colour sensor a frame is one colour plane: the pixels
-behind one filter.
+names, and impossible readings are NaN in masked images. Impossible readings belong to pixels that were not measured:
+lost packets, masks or overlays replaced them by a constant (see the module `impossible_readings`). On a colour sensor a
+frame is one colour plane: the pixels behind one filter.
 """
 
 from functools import lru_cache
@@ -269,9 +270,22 @@ def read_image(dataset: Dataset, frame: Frame) -> np.ndarray:
 
 
 def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
-    """Return the pixels of a frame as `read_image` does; if some are masked, as float32 with NaN in their place.
+    """Return the pixels of a frame in DN, with NaN for bad pixels and impossible readings.
 
-    Bad pixels and impossible readings are masked.
+    Parameters
+    ----------
+    dataset : the dataset.
+    frame : one of its frames.
+
+    Returns
+    -------
+    array
+        Shape [rows, columns]: float32 if a pixel is NaN, otherwise uint8 or uint16 as `read_image` returns them.
+
+    Raises
+    ------
+    InputError
+        As `read_image` does.
     """
     return read_checked_image(dataset, frame)[0]
 
@@ -279,8 +293,8 @@ def read_masked_image(dataset: Dataset, frame: Frame) -> np.ndarray:
 def read_checked_image(dataset: Dataset, frame: Frame) -> tuple[np.ndarray, ImpossibleReadings]:
     """Return the pixels of a frame as `read_masked_image` does, and its impossible readings.
 
-    Readings that were cut off at a threshold are kept: all frames of a camera with a dead zone have them, and the
-    verdict recognises it by them.
+    Readings that were cut off at a threshold (`ImpossibleReadings.is_cut`) do not become NaN. If the camera has a dead
+    zone, all its frames have such readings, and the verdict detects the dead zone by them.
     """
     pixels = read_image(dataset, frame)
     rows, columns = pixels.shape

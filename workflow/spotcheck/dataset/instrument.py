@@ -239,7 +239,8 @@ def _merge_shared_file(path: Path, content: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a file, completed by those of the shared file on which it is based.
 
     The keys of the file itself take precedence, also within each section. The result has every section, perhaps empty.
-    Raises `InputError` if the shared file is based on another one.
+    `content` is that of the file `path`, which a message names. Raises `InputError` if the shared file is based on
+    another one.
     """
     shared = _read_content(Path(content["based_on"]))
     if "based_on" in shared:

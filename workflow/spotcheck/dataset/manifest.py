@@ -182,9 +182,14 @@ def _spell_as_on_disk(folder: Path, frames: tuple[Frame, ...]) -> tuple[Frame, .
 
 
 def _parse_row(path: Path, line: int, row: dict[str | None, Any], conditions: tuple[str, ...]) -> Frame:
-    """Return the frame of a row of `_read_rows`, which has the cells by column. Raises `InputError` for a wrong cell.
+    """Return the frame of a row. Raises `InputError` for a wrong cell.
 
-    `path` and `line` are those of the manifest and the row, for the message; `conditions` are the declared columns.
+    Parameters
+    ----------
+    path : path of manifest.csv; frames lie in its folder.
+    line : number of the row's line, from 1.
+    row : cells by column, as `read_rows` returns them.
+    conditions : columns of the declared conditions.
     """
     location = f"{path.name} line {line}"
     if None in row or None in row.values():
@@ -217,7 +222,10 @@ def _parse_row(path: Path, line: int, row: dict[str | None, Any], conditions: tu
 
 
 def _parse_optional_number(location: str, cells: dict[str, str], column: str) -> float | None:
-    """Return the number in a cell, None if it is blank. Raises `InputError`, which starts with `location`."""
+    """Return the number in a cell of a row (`cells` by column), None if it is blank.
+
+    Raises `InputError` for other text. The message starts with `location`, such as "manifest.csv line 3".
+    """
     text = cells[column]
     value = parse_number(text)
     if text and value is None:
@@ -226,9 +234,10 @@ def _parse_optional_number(location: str, cells: dict[str, str], column: str) ->
 
 
 def _parse_optional_count(location: str, cells: dict[str, str], column: str) -> int | None:
-    """Return the whole number in a cell, None if it is blank or the column is missing.
+    """Return the whole number in a cell of a row (`cells` by column), None if it is blank or the column is missing.
 
-    Raises `InputError`, which starts with `location`.
+    Raises `InputError` for other text, also for signs and decimals. The message starts with `location`, such as
+    "manifest.csv line 3".
     """
     text = cells.get(column, "")
     if text and not (text.isdecimal() and len(text) <= MOST_DIGITS):
@@ -237,7 +246,11 @@ def _parse_optional_count(location: str, cells: dict[str, str], column: str) -> 
 
 
 def _parse_file(location: str, folder: Path, text: str) -> str:
-    """Return the normalized relative path of an image in the dataset folder. Raises `InputError` with `location`."""
+    """Return the normalized path of an image, relative to the dataset's folder.
+
+    `text` is the cell. Raises `InputError` for a path that is not allowed. The message starts with `location`, such as
+    "manifest.csv line 3".
+    """
     file = text.replace("\\", "/")  # Windows separates folders by a backslash
     if len(file) > LONGEST_PATH:
         raise InputError(f"{location}: file has {len(file)} characters; it must be a path of at most {LONGEST_PATH}")

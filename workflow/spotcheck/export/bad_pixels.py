@@ -23,8 +23,8 @@ MIN_FITS, MIN_SHARE = 2, 0.5
 def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) -> tuple[BadPixels, int]:
     """Return the bad pixels in coordinates of the sensor, and the number of fits that left out any pixel.
 
-    The outlying pixels of these fits are searched again, as fits.nc names only the first of them. Only the fits by
-    likelihood in the crops centred on the light count.
+    Only the fits by likelihood in the crops centred on the light count. Their outlying pixels are searched again in the
+    crops, because fits.nc has them only as a text that does not list all of them.
 
     Parameters
     ----------

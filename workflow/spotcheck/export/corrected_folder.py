@@ -1,7 +1,8 @@
 """Write a folder of corrected frames: float TIFF files of two pages, electrons and their variance, and a manifest.
 
 An effect is a deviation of the frames from the baseline model that the verdict detected; its variant, called `form` in
-files, is one of several formulas for it. The vocabulary is the known effects by name. verdict.json holds the detected
+files, is one of several formulas for it. The well limits the charge of a pixel, and the response is the signal of the
+converter as a function of that charge. The vocabulary is the known effects by name. verdict.json holds the detected
 effects, and model.yaml the model that has them. A results folder has the results of one dataset.
 """
 
@@ -108,13 +109,23 @@ def _read_sensor_effects(results: Path) -> list[AppliedEffect]:
     else:
         for entry in read_verdict(results).get("effects", ()):
             values = {name: parameter["value"] for name, parameter in entry["parameters"].items()}
+            # KeyError: unknown effect; TypeError: parameter without a value; ValueError: other parameters or variants.
             with suppress(KeyError, TypeError, ValueError):
                 effects.append(vocabulary()[entry["name"]].apply(values, entry["form"]))
     return [applied for applied in effects if {Stage.WELL, Stage.RESPONSE} & set(applied.effect.stages)]
 
 
 def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: Path) -> int:
-    """Write every frame of a dataset corrected, one at a time, and manifest.csv; return the number of frames.
+    """Correct every frame of a dataset and write it to a folder, with a manifest.csv; return the number of frames.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Dataset whose frames are corrected. They are read one at a time.
+    calibration : Calibration
+        Calibration of the sensor that recorded the frames.
+    folder : Path
+        Folder to write, which must be empty or not exist.
 
     Raises
     ------
@@ -123,7 +134,8 @@ def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: P
     """
     if folder.exists() and any(folder.iterdir()):
         raise InputError(f"{folder}: is not empty; name a new folder, nothing is overwritten")
-    curve, maps = compute_response_curve(calibration.sensor, calibration.effects), None
+    curve = compute_response_curve(calibration.sensor, calibration.effects)
+    maps = None
     # Rows of the new manifest, which names the source of each frame.
     rows = []
     # All pages of a stack have the digest of one file.
@@ -132,6 +144,7 @@ def write_corrected_frames(dataset: Dataset, calibration: Calibration, folder: P
         image = frames.read_masked_image(dataset, frame).astype(float)
         if calibration.maps is not None:
             _check_size(frame, image.shape, calibration.maps)
+            # The dark current of a pixel makes its offset grow with the exposure.
             maps = calibration.maps.at(frame.exposure_s)
         corrected = correct_frame(image, calibration.sensor, curve, maps, frame.exposure_s)
         description = _describe(dataset, frame, calibration, digest(dataset.folder / frame.path))

@@ -57,20 +57,28 @@ def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]
     """Return the response curve of a sensor with the detected effects on well and response.
 
     The full well of the data sheet sets the clipping signal only. The dark current is no part of the curve.
+
+    Parameters
+    ----------
+    sensor : SensorModel
+        Gain, read noise, black level, curvature, full well and full scale.
+    effects : sequence of AppliedEffect
+        Detected effects on well and response.
     """
     gain = sensor.gain_dn_per_e
     full_scale = sensor.full_scale_dn if np.isfinite(sensor.full_scale_dn) else DEFAULT_FULL_SCALE_DN
     light = np.linspace(0.0, MAX_LIGHT * full_scale, CURVE_POINTS)
-    # The full well of the data sheet is one of the limits below, and no part of the curve.
+    # The full well of the data sheet cuts the curve off and leaves lower signals unchanged: it is one of `limits`.
     without_well = replace(sensor, full_well_e=np.inf)
     # The baseline describes the spot. It is arbitrary here, since only the stages of the sensor count.
     baseline = Baseline(laser_px=0.0, photon_budget="free", top_hat=False, longest_s=1.0)
     model = ForwardModel(baseline, without_well, effects=tuple(effects))
+    # Distribution of the readings of one pixel. Its functions give the signal step by step, without noise.
     distribution = model.distribution()
     # Charge behind the well, times the gain [DN].
     charge_dn = distribution.charge_signal(light / gain)
     if distribution.charge_levels:
-        # Mean over pixels whose charge stops at different levels [DN]; the shares of the pixels sum to 1.
+        # The well can differ between pixels: a share [1] of them is full at each level [DN]. This is their mean.
         charge_dn = sum(share * np.minimum(charge_dn, level) for share, level in distribution.charge_levels)
     signal = distribution.converter_signal(charge_dn) - sensor.black_level_dn
     well_slope, slope = np.gradient(charge_dn, light), np.gradient(signal, light)
@@ -80,6 +88,7 @@ def compute_response_curve(sensor: SensorModel, effects: Sequence[AppliedEffect]
     # The first point that is too flat; `argmax` gives 0 if there is none.
     first_flat = int(np.argmax(slope < MIN_SLOPE))
     if slope[first_flat] < MIN_SLOPE:
+        # Read noise is added behind the well, so it scatters the signals of full pixels around the limit.
         has_well = any(Stage.WELL in applied.effect.stages for applied in effects)
         limits.append(float(signal[first_flat]) - (margin if has_well else 0.0))
     if np.isfinite(sensor.full_well_e):

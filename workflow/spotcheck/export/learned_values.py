@@ -139,16 +139,18 @@ def _read_full_scale(results: Path) -> Iterator[LearnedValue]:
 def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     """Yield the sensor parameters from spots, then those from flats and darks, which are more accurate.
 
-    Both are in sensor.nc, with the value and standard error of each source in the variables `_by` and `_by_stderr`. If
-    there is no sensor.nc, those of flats and darks are read from transfer.nc.
+    Both are in sensor.nc: the variables read_noise_e_by and read_noise_e_by_stderr have the read noise from each source
+    and its standard error, and other parameters likewise. If there is no sensor.nc, the parameters from flats and darks
+    are read from transfer.nc, in which they have the names of EMVA 1288 (`EMVA_NAMES`).
     """
+    # No frames give the others.
     names = [name for name in EMVA_NAMES if name not in ONLY_FROM_SHEET]
     estimates, file = [], "sensor.nc"
     if (results / "sensor.nc").is_file():
         with store.read(results / "sensor.nc") as ds:
             for source in (SPOTS, FLATS):
                 for name in names:
-                    value, stderr = (float(ds[f"{name}_{column}"].sel(source=source)) for column in ("by", "by_stderr"))
+                    value, stderr = (float(ds[f"{name}_{suffix}"].sel(source=source)) for suffix in ("by", "by_stderr"))
                     estimates.append((name, value, stderr, source))
     elif (results / "transfer.nc").is_file():
         file = "transfer.nc"
@@ -160,8 +162,8 @@ def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
     for name, value, stderr, source in estimates:
         if np.isfinite(value):
             # Noise can make the estimate of a dark current negative.
-            key, value, words = f"sensor.{name}", max(value, 0.0), f"{source} ({file})"
-            yield LearnedValue(key, value, stderr, _read_unit(key), words, is_from_spots=source == SPOTS)
+            key, value, source_text = f"sensor.{name}", max(value, 0.0), f"{source} ({file})"
+            yield LearnedValue(key, value, stderr, _read_unit(key), source_text, is_from_spots=source == SPOTS)
 
 
 def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:
@@ -269,7 +271,7 @@ def _replace_gain(values: Mapping[str, LearnedValue], gain: float, stderr: float
 
 
 def _read_unit(key: str) -> str:
-    """Return the unit of a key: the text in square brackets of its description in the schema, "1" if there is none."""
+    """Return the unit of a key "section.name": the text in square brackets in its description in the schema, or "1"."""
     section, _, name = key.partition(".")
     description = read_schema("instrument")["properties"][section]["properties"][name]["description"]
     match = re.search(r"\[(.+?)\]", description)

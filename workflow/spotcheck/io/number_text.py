@@ -95,15 +95,20 @@ def two_digits(value: float) -> str:
 
 
 def _number_with_error(value: float, stderr: float | None) -> str:
-    """Return `value ± stderr` of a finite value, or the value alone if its error is None, NaN or not positive."""
+    """Return a finite value as `value ± stderr`, or alone if its error is None, NaN or not positive.
+
+    Both are in the same unit, which is not written.
+    """
     if stderr is None or math.isnan(stderr) or stderr <= 0:
         text = f"{value:.0f}" if abs(value) >= WHOLE_FROM else f"{value:.4g}"
     elif math.isinf(stderr):
         text = f"{value:.4g} ± ∞"
     else:
         decimals = count_decimals(stderr)
+        # The format rounds decimals, but no tens.
         if decimals < 0:
             value, stderr = round(value, decimals), round(stderr, decimals)
+        # Formats of `uncertainties`: e has a power of ten, f has none, and P gives "±" and "×10⁻⁸" as characters.
         text = format(ufloat(value, stderr), "eP" if decimals > MAX_DECIMALS else "fP").replace("±", " ± ")
     return text.replace("-", "−")
 

@@ -63,8 +63,11 @@ def _find_module_file(module: str, root: Path) -> Path | None:
 
 
 def _list_imports_of_source(source: str, root: Path) -> set[str]:
-    """Return the dotted names of the modules below `root` that a source text imports when it runs."""
-    # `from a import b` names a.b, which is a module or not.
+    """Return the dotted names of the modules below `root` that a source text imports when it runs.
+
+    `source` is Python code. Its relative imports are not followed.
+    """
+    # Candidates: `from a import b` imports the module a.b, or a name of a, which has no file.
     names: set[str] = set()
     for node in walk_executed(ast.parse(source)):
         if isinstance(node, ast.Import):

@@ -118,12 +118,16 @@ def end_jobs_on_signal(token: str) -> None:
     """
 
     def stop(number: int, frame: FrameType | None) -> NoReturn:
-        """Handle a signal: restore the default handlers, end the jobs in a thread, and raise `KeyboardInterrupt`."""
+        """Handle a signal: restore the default handlers, end the jobs in a thread, and raise `KeyboardInterrupt`.
+
+        Python passes the number of the signal and the interrupted stack frame, which is not used.
+        """
         for stop_signal in (signal.SIGTERM, signal.SIGINT):
             signal.signal(stop_signal, signal.SIG_DFL)
         # The signal may have interrupted a `print`, which cannot be entered twice.
         name = signal.Signals(number).name
         os.write(2, f"spotcheck: stopped by {name}; the same command continues from here\n".encode())
+        # The exception takes time to end this run, and jobs may start meanwhile: a thread ends them, too.
         threading.Thread(target=_keep_ending_jobs, args=(token,), daemon=True).start()
         raise KeyboardInterrupt
 

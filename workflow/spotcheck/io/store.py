@@ -186,8 +186,8 @@ def _remark_on_values(ds: xr.Dataset) -> Iterator[str]:
         zero_count = int((variable.values == 0).sum())
         if zero_count and str(name).endswith(("stderr", "_error")):
             yield (
-                f"{name} is exactly 0 in {zero_count} of {variable.size} places: what it is the error of was not"
-                " measured, or from copies of one frame"
+                f"{name} is exactly 0 in {zero_count} of {variable.size} places: its quantity was not measured, or only"
+                " in copies of one frame"
             )
 
 
@@ -308,19 +308,23 @@ class FrameWriter:
             self._create(name, definition, axis_names)
 
     def _create(self, name: str, definition: Variable, axis_names: tuple[str, ...]) -> None:
-        """Create a variable with one chunk per frame, that is, per cell of the grid."""
+        """Create a variable over the axes of the grid with one chunk per frame, that is, per cell of the grid."""
         dtype, dims = definition.dtype, (*axis_names, *definition.dims)
         shape = tuple(self._nc.dimensions[dim].size for dim in dims)
         chunks = (1,) * len(axis_names) + shape[len(axis_names) :]
-        # The largest integer stands for the NaN of quantized floats. Plain integers get no fill value, because xarray
-        # would read them as floats.
-        fill = np.nan if dtype.startswith("f") else None if definition.step is None else np.iinfo(dtype).max
+        fill: float | None = None
+        if dtype.startswith("f"):
+            fill = np.nan
+        elif definition.step is not None:
+            # Floats that are stored as integers have no NaN; the largest integer stands for it.
+            fill = np.iinfo(dtype).max
         variable = self._nc.createVariable(name, dtype, dims, **COMPRESSION, chunksizes=chunks, fill_value=fill)
         variable.setncatts({"units": definition.units, "long_name": definition.long_name})
         if definition.step is not None:
             variable.scale_factor = definition.step
         if name == "status":
             variable.setncatts(status_attributes())
+        # Plain integers have no fill value, with which xarray would read them as floats.
         if fill is None:
             variable[:] = np.full(shape, flag("missing") if name == "status" else -1, dtype)
 

@@ -115,29 +115,41 @@ def parse_path(path: PurePath, inner_path: str = "") -> Iterator[MetadataEntry]:
 
 
 def _parse_quantity(match: re.Match, source: str) -> MetadataEntry | None:
-    """Return the entry of a number with a unit, a match of `_QUANTITY`.
+    """Return the entry of a number with a unit, with its value in the unit of manifest columns.
 
-    Returns None if unit or value has no meaning here, and an entry without a column for a quantity that is not used.
+    Parameters
+    ----------
+    match : match of `_QUANTITY` in a name.
+    source : one of `NAME_SOURCES`.
+
+    Returns
+    -------
+    MetadataEntry or None
+        The entry has no column if the word before the number names a quantity that no column holds, such as a focal
+        length, or one of another dimension than the unit. None if no column has a value of this unit, or if the number
+        is ambiguous (see `units.convert_quantity`).
     """
     unit, key, gap = match["unit"], (match["key"] or "").lower(), match["gap"]
     dimension = units.get_dimension(unit)
     if dimension is None:
         return None
-    # A hyphen between a word and a number separates them; after another separator, or without a word, it is a minus.
+    # A single hyphen between a word and a number separates them (z-5mm). After another separator (z_-5mm), or without a
+    # word, it is a minus. `_QUANTITY` has a hyphen after a word in the gap, and any other one as the sign.
     is_negative = match["sign"] == "-" or (gap is not None and len(gap) > 1 and gap.endswith("-"))
     number = ("-" if is_negative else "") + match["number"].replace("p", ".")
     value = units.convert_quantity(number, unit, dimension)
     if value is None:
         return None
-    if key in OTHER_QUANTITIES or (key in KEYS and KEYS[key][1] != dimension):
+    is_known_word = key in KEYS
+    column, expected_dimension = KEYS[key] if is_known_word else (_DEFAULT_COLUMNS.get(dimension), dimension)
+    if key in OTHER_QUANTITIES or dimension != expected_dimension:
         return MetadataEntry(None, None, match[0], source)
-    column = KEYS[key][0] if key in KEYS else _DEFAULT_COLUMNS.get(dimension)
-    if key not in KEYS and unit.lower() == "nm" and WAVELENGTHS_M[0] <= value <= WAVELENGTHS_M[1]:
+    if not is_known_word and unit.lower() == "nm" and WAVELENGTHS_M[0] <= value <= WAVELENGTHS_M[1]:
         column = "laser.wavelength_m"
     if column is None:
         return None
-    # Without a connection between them, the word is left for the next steps of the parsing.
-    belongs_to_word = key in KEYS or gap == "" or "=" in (gap or "")
+    # A word without a quantity that is separated from the number (dark_5ms) is left for the next steps of the parsing.
+    belongs_to_word = is_known_word or gap == "" or "=" in (gap or "")
     text = match[0] if belongs_to_word else match[0][match.start("number") - match.start() :]
     return MetadataEntry(column, value, text.strip(" _-"), source)
 

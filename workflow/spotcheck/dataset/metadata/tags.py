@@ -40,13 +40,18 @@ IMAGEMAGICK_KEYS = ("date:", "tiff:", "png:", "software")
 
 
 def read_tiff_tags(path: Path) -> Iterator[MetadataEntry]:
-    """Yield the metadata of every page of a TIFF file. Raises what tifffile raises for a broken file."""
+    """Yield the metadata of every page of a TIFF file.
+
+    Raises `ImageError` if the chain of its pages is broken, and what tifffile raises for a file that is broken
+    otherwise.
+    """
     entries = list[MetadataEntry]()
     with tiff.open_directories(path) as (file, directories):
         previous_text = ""
         for page_number, page in enumerate(directories):
             entries += _read_page_tags(page, page_number)
             text = page.tags.valueof(DESCRIPTION, "")
+            # A description that all pages repeat is read on the first page alone, as it describes the whole stack.
             if not isinstance(text, str) or not text or text == previous_text:
                 continue
             previous_text = text

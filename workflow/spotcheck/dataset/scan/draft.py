@@ -52,7 +52,7 @@ class ManifestDraft:
     frames: tuple[ScannedFrame, ...]  # in the order of the rows
     columns: tuple[str, ...]  # columns of the manifest
     rows: tuple[dict[str, str], ...]  # cells of each frame, by column
-    provenance: dict[str, Counter[tuple[str, str]]]  # number of values by (source, example text), for each column
+    provenance: dict[str, Counter[tuple[str, str]]]  # number of frames by (source, its first text), for each column
     instrument_keys: dict[str, MetadataEntry]  # keys of instrument.yaml on which all frames agree
     conditions: tuple[str, ...]  # columns that instrument.yaml declares as axes of the experiment
     is_order_known: bool  # whether the rows are in the order of acquisition
@@ -185,15 +185,28 @@ def _number_repeats(
 def _collect_provenance(
     metadata: Sequence[FrameMetadata], repeat_column: str | None
 ) -> dict[str, Counter[tuple[str, str]]]:
-    """Return for each column the number of values by source, with the text of the first value of that source.
+    """Return for each column the number of frames by source, with the first text that was read from that source.
 
-    `repeat_column` is that of `_number_repeats`.
+    A source has the form that is common to all frames (`MetadataEntry.source_pattern`): the sidecar files of all frames
+    are one source.
+
+    Parameters
+    ----------
+    metadata : metadata of each frame, by column.
+    repeat_column : column of metadata that gives the repeats, "repeat" or "number"; None if frames are counted.
+
+    Returns
+    -------
+    dict
+        By column, the number of frames by (source, text); frames without a value of the column do not count.
     """
+    # Entries of a frame whose metadata give no kind, and of frames whose repeats are counted.
     defaults = {"kind": MetadataEntry("kind", "spot", "", ASSUMED), "repeat": MetadataEntry("repeat", 0, "", COUNTED)}
     first_texts: dict[tuple[str, str], str] = {}
     provenance: dict[str, Counter[tuple[str, str]]] = {}
     for entries in metadata:
         entry_of = defaults | {column: entry for column, entry in entries.items() if column not in ("repeat", "number")}
+        # The repeats of all frames come from one column, even if a frame has both.
         if repeat_column:
             entry_of["repeat"] = entries[repeat_column]
         for column, entry in entry_of.items():
@@ -221,7 +234,11 @@ def _collect_instrument_keys(
 def _collect_conflicts(
     conflicts_by_frame: Iterable[Mapping[str, tuple[MetadataEntry, MetadataEntry]]],
 ) -> tuple[Conflict, ...]:
-    """Return the conflicts of all frames, one for each column and pair of sources, with the number of its frames."""
+    """Return one conflict for each column and pair of sources, with the number of frames that have it.
+
+    `conflicts_by_frame` has for each frame, by column, two entries that contradict each other. Sources are the same if
+    their form that is common to all frames is (`MetadataEntry.source_pattern`).
+    """
     conflict_of: dict[tuple[str, str, str], Conflict] = {}
     for conflicts in conflicts_by_frame:
         for column, (first, second) in conflicts.items():

@@ -196,9 +196,12 @@ def _count_images(tiff: tifffile.TiffFile, length: int) -> int:
 
 
 def _check_imagej(tiff: tifffile.TiffFile) -> None:
-    """Raise `ImageError` for a calibration of values, by which ImageJ stores signed numbers in unsigned ones."""
+    """Raise `ImageError` if ImageJ's description holds a calibration: a function from stored numbers to values.
+
+    ImageJ stores signed integers as unsigned ones by such a function.
+    """
     metadata = tiff.imagej_metadata or {}
-    # Coefficients c0 and c1, and the number cf of the function of the stored value: 0 is a straight line, 20 none.
+    # ImageJ numbers its functions by cf: 0 is the straight line c0 + c1 · stored number, and 20 is no calibration.
     if (metadata.get("c0", 0), metadata.get("c1", 1)) != (0, 1) or metadata.get("cf", 0) not in (0, 20):
         raise ImageError(
             "its ImageDescription holds a calibration of values by ImageJ (c0, c1);"
@@ -218,9 +221,10 @@ def _format_tag(value: int) -> str:
 
 
 def _make_page(directory: tifffile.TiffPage, length: int) -> Page:
-    """Return the header of a page in a file of `length` bytes. A preview or mask is not checked; its bits are 0.
+    """Return the header of a page in a file of `length` bytes, after checks that its pixels are readings.
 
-    Raises `ImageError` for a page whose numbers are not readings; its text names the tag that is wrong, if one is.
+    The header of a preview or mask, which is never decoded, is returned without these checks and with 0 bits. Raises
+    `ImageError` for any other page that fails a check; the message names the wrong tag if there is one.
     """
     rows, columns = directory.imagelength, directory.imagewidth
     if isinstance(directory.subfiletype, int) and directory.subfiletype & REDUCED_OR_MASK:
@@ -238,7 +242,7 @@ def _make_page(directory: tifffile.TiffPage, length: int) -> Page:
 def _count_bits(directory: tifffile.TiffPage, colours: str) -> int:
     """Return the bits of a sample, 0 for floating-point numbers. Raises `ImageError` for pixels of other types.
 
-    `colours` is that of `Page`, which decides on the number of channels.
+    `colours` is that of `Page`: RGB must have three channels, all other pages one.
     """
     channels, dimensions = (3, 3) if colours == RGB else (1, 2)
     if directory.samplesperpixel != channels:
@@ -257,7 +261,7 @@ def _count_bits(directory: tifffile.TiffPage, colours: str) -> int:
 def _check_tags(directory: tifffile.TiffPage, colours: str, bits: int) -> None:
     """Raise `ImageError` for a tag by which stored values are not readings in rows.
 
-    `colours` and `bits` are those of `Page`.
+    `colours` and `bits` are those of `Page`; 0 bits stand for floating-point numbers.
     """
     white, black = tifffile.PHOTOMETRIC.MINISWHITE, tifffile.PHOTOMETRIC.MINISBLACK
     if directory.photometric not in (white, black) and not colours:
@@ -283,17 +287,20 @@ def _check_tags(directory: tifffile.TiffPage, colours: str, bits: int) -> None:
 
 
 def _read_colours(directory: tifffile.TiffPage) -> str:
-    """Return the colours of a page (see `Page`) by PhotometricInterpretation and, behind filters, CFAPattern (TIFF/EP).
+    """Return the colours of a page: GREY, RGB, CFA, or the filters of a Bayer sensor such as "RGGB" (see `Page`).
 
-    Filters in another pattern than Bayer's give CFA.
+    The tag PhotometricInterpretation decides, and for pixels behind colour filters the tag CFAPattern (TIFF/EP). If its
+    pattern is missing or not that of a Bayer sensor, the result is CFA.
     """
     if directory.photometric == tifffile.PHOTOMETRIC.RGB:
         return RGB
     if directory.photometric != tifffile.PHOTOMETRIC.CFA:
         return GREY
-    size, pattern = directory.tags.valueof(CFA_SIZE_TAG), directory.tags.valueof(CFA_PATTERN_TAG)
+    pattern_shape, pattern = directory.tags.valueof(CFA_SIZE_TAG), directory.tags.valueof(CFA_PATTERN_TAG)
     # Filters are numbered: red 0, green 1, blue 2.
-    is_bayer = size in (None, (2, 2)) and isinstance(pattern, tuple | bytes) and sorted(pattern) == [0, 1, 1, 2]
+    is_bayer = (
+        pattern_shape in (None, (2, 2)) and isinstance(pattern, tuple | bytes) and sorted(pattern) == [0, 1, 1, 2]
+    )
     return "".join("RGB"[colour] for colour in pattern) if is_bayer else CFA
 
 
