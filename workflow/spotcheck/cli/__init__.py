@@ -71,8 +71,9 @@ COMMANDS = {name: sentence for commands in GROUPS.values() for name, sentence in
 def main(argv: list[str] | None = None) -> None:
     """Run the command line, and end the process with an exit status other than 0 if it fails.
 
-    An error that the user can correct prints one sentence and exits with status 2. A signal exits with 128 and its
-    number. `argv` are the words after the name of the program; None takes those of the process.
+    After an error that the user can correct, one sentence is printed and the status is 2. After a signal the status is
+    128 plus the number of the signal. `argv` are the words after the name of the program; None takes those of the
+    process.
     """
     from spotcheck.errors import InputError
     from spotcheck.io import progress
@@ -89,7 +90,7 @@ def main(argv: list[str] | None = None) -> None:
             run(sys.argv[1:] if argv is None else argv)
         sys.stdout.flush()
     except BrokenPipeError:
-        # The reader has closed the pipe (`| head`); what Python flushes at exit must not fail again.
+        # The reader has closed the pipe (`| head`). Python flushes stdout again at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(128 + signal.SIGPIPE)
     except InputError as error:

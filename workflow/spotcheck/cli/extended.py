@@ -1,4 +1,4 @@
-"""`spotcheck extended`: simulates frames by the extended model, evaluates them as the measured ones, and compares.
+"""`spotcheck extended`: simulates frames by the extended model, and compares their metrics with the measured ones.
 
 The declared model is the simulation from calibration and data sheet. The extended model, in model.yaml, has in addition
 the physical effects that the verdict detected.

@@ -74,7 +74,8 @@ def run(args: argparse.Namespace) -> None:
     print(result)
     is_scan = any(image.z_m is not None for image in result.images)
     # The wavelength is needed for M² of a scan only.
-    is_given = {"--wavelength-nm": result.wavelength_m or not is_scan, "--pixel-um": result.pixel_pitch_m}
-    if missing := [option for option in is_given if not is_given[option]]:
+    needed_values = {"--wavelength-nm": result.wavelength_m} if is_scan else {}
+    needed_values["--pixel-um"] = result.pixel_pitch_m
+    if missing := [option for option, value in needed_values.items() if not value]:
         print(f"for {'M²' if is_scan else 'widths in µm'} add your {' and '.join(missing)}")
     print(f"\npage: {page}    (spotcheck open {page})")

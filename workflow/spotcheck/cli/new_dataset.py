@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Read what the images state, ask for what is missing, and write both files, or complete them if they exist.
 
-    Raises `InputError` if one of the files exists and cannot be read or no image can be read, or an answer is
-    impossible.
+    Raises `InputError` if an existing file cannot be read, if no image can be read although there are images or files
+    to complete, or if an answer is impossible.
     """
     folder, answers = args.folder, dict(_parse_answer(word) for word in args.answers)
     written_names = completion.list_written_names(folder)
@@ -134,12 +134,16 @@ def _ask_user(scan: FolderScan, key: str) -> tuple[str, str] | None:
 
 
 def _list_missing_keys(draft: ManifestDraft) -> Iterator[str]:
-    """Yield the columns of the manifest and keys of the instrument file that these frames need and no file states."""
+    """Yield the columns of the manifest and keys of the instrument file to ask the user for.
+
+    The frames need them, but no file states them, or what the files state cannot be used.
+    """
     # Columns for which files state values that cannot be used, since a unit is missing or sources disagree.
     unclear_columns = {record.column for record in draft.unused} | {conflict.column for conflict in draft.conflicts}
-    # `missing` has the files without a value by column. The exposure is asked for only if all rows lack it.
+    # `missing` lists the files without a value, for each column. The exposure is asked for only if all rows lack it.
     if len(draft.missing["exposure_s"]) == len(draft.rows) and "exposure_s" not in unclear_columns:
         yield "exposure_s"
+    # `columns` has the position if at least one frame has a usable value of it.
     if POSITION in unclear_columns and POSITION not in draft.columns:
         yield POSITION
     if draft.has_spots:

@@ -93,23 +93,31 @@ def judge_dataset(
 
 
 def evaluate_extended_model(args: argparse.Namespace) -> None:
-    """Simulate the frames of a dataset by the extended model, and evaluate them as the measured ones.
+    """Simulate the frames of a dataset by the extended model, and compute the metrics of the simulated frames.
 
-    `args` are the parsed arguments of the subcommand `extended`. The folder of the simulated dataset also gets its
-    frames.nc, crops.nc and fits.nc.
+    `args` are the parsed arguments of the subcommand `extended`. `dataset` is the folder of the measured dataset and
+    `folder` that of the simulated one, which also gets frames.nc, crops.nc and fits.nc of the simulated frames.
+    `images` and `output` are the files of mean images and of metrics to write.
     """
     folder, effect_words = str(args.folder), effect_options.list_options(effect_options.make_choice(args))
     frames, crops, fits = (f"{folder}/{name}.nc" for name in ("frames", "crops", "fits"))
-    # Options by name: --sensor of several subcommands, those of `simulate`, and those of `metrics`.
-    sensor = {"sensor": args.sensor}
-    simulated = {"model": args.model, **sensor, "seed": args.seed, "folder": folder, "output": args.images}
-    compared = {"crops": (args.crops, crops), "fits": (args.fits, fits), **sensor, "output": args.output}
+    sensor_option = {"sensor": args.sensor}
+    simulate_options = {
+        "model": args.model,
+        **sensor_option,
+        "seed": args.seed,
+        "folder": folder,
+        "output": args.images,
+    }
+    # Each of the first two options has the file of the measured and that of the simulated frames.
+    metrics_options = {"crops": (args.crops, crops), "fits": (args.fits, fits), **sensor_option, "output": args.output}
     for words in (
-        ["simulate", args.dataset, *_format_options(simulated), *effect_words],
+        ["simulate", args.dataset, *_format_options(simulate_options), *effect_words],
         ["ingest", folder, *_format_options({"output": frames})],
         ["crop", folder, *_format_options({"frames": frames, "output": crops})],
-        ["fit", args.dataset, *_format_options({"crops": crops, **sensor, "output": fits})],
-        ["metrics", *_format_options(compared)],
+        # Simulated crops are fitted by the instrument file of the measured dataset, as the measured ones are.
+        ["fit", args.dataset, *_format_options({"crops": crops, **sensor_option, "output": fits})],
+        ["metrics", *_format_options(metrics_options)],
     ):
         cli.run(words)
 

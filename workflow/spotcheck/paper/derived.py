@@ -114,7 +114,10 @@ def contrast_increase(results: Results) -> float:
 
 
 def fraunhofer(results: Results) -> float:
-    """Return the Fraunhofer number d_f²/(d_w λ) [1] of filaments, gap d_f, at working distance d_w (Eq. 6)."""
+    """Return the Fraunhofer number d_f²/(d_w λ) [1] (Eq. 6).
+
+    d_f is the gap between filaments of the sample, d_w the working distance, and λ the wavelength of the laser.
+    """
     return optics.fraunhofer_number(
         FILAMENT_GAP_M, results.require_key("optics.working_distance_m"), results.require_key("laser.wavelength_m")
     )

@@ -46,11 +46,12 @@ def simulated_widths_closer(results: Results) -> float:
 
 
 def _variance_bounds(results: Results, parameter: str) -> np.ndarray:
-    """Return the lower bounds on the variance of "peak" [1] or "sigma" [m²] that Fig. 13 shows [curve point].
+    """Return the lower bounds on the variance of a parameter of the spot at all points of Fig. 13 [point].
 
-    bounds.nc has them for several noise models. The law of the paper, "dn", takes readings in DN for Poisson
-    numbers. The first points are a curve over the exposure, within the range of the dataset. The others are a curve
-    over the number of photons.
+    `parameter` is "peak" for µ_p,max, whose bounds are numbers [1], or "sigma" for σ_g, whose bounds are in m². The
+    first points are a curve over the exposure, within the range of the dataset. The others are a curve over the number
+    of photons. bounds.nc has the bounds by several distributions of readings, its dimension `law`. With "dn", that of
+    the paper, a mean in DN is the mean of a Poisson distribution (Eq. 31).
     """
     bounds = results.open_file("bounds").sel(law="dn")
     exposure = results.metrics["exposure"].values

@@ -53,7 +53,8 @@ def edge_steepness(results: Results) -> float:
     Above 1 the measured edge is steeper. Widths are medians of `_edge_width` over frames.
     """
     simulated, measured = (
-        np.median([_edge_width(*frame) for frame in _longest_frames(results, folder)]) for folder in ("simulated/", "")
+        np.median([_edge_width(*frame) for frame in _read_longest_exposure(results, folder)])
+        for folder in ("simulated/", "")
     )
     return float(simulated / measured)
 
@@ -64,7 +65,7 @@ def horizontal_lines(results: Results) -> float:
     It is the median over measured frames; above 1 there are horizontal lines.
     """
     ratios = []
-    for image, x0, y0, sigma_px in _longest_frames(results, ""):
+    for image, x0, y0, sigma_px in _read_longest_exposure(results, ""):
         half = round(PLATEAU_HALF_SIDE * sigma_px)
         row, column = round(y0), round(x0)
         plateau = image[row - half : row + half + 1, column - half : column + half + 1]
@@ -217,8 +218,8 @@ def _crops(results: Results, name: str) -> xr.DataArray:
     return results.open_file(name)["image"].sel(centring=CENTRING)
 
 
-def _longest_frames(results: Results, folder: str) -> list[tuple[np.ndarray, float, float, float]]:
-    """Return image [y, x] in DN, fitted centre x, y in it [px] and fitted width [px] of crops at the longest exposure.
+def _read_longest_exposure(results: Results, folder: str) -> list[tuple[np.ndarray, float, float, float]]:
+    """Return (image [y, x] in DN, fitted centre x, y in it [px], fitted width [px]) of crops at the longest exposure.
 
     `folder` is "" for the measured and "simulated/" for the simulated crops.
     """

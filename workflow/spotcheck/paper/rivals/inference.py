@@ -73,7 +73,8 @@ class WorldFit:
     point: np.ndarray  # parameters in the unit cube [parameter]
     chi2: float  # χ² of the fitted summaries
     log_score: float  # ln of the predictive density of the held-out summaries
-    at_edge: np.ndarray  # whether a parameter stopped at the edge of the emulator's box, inside its range [parameter]
+    # Whether a parameter lies at an edge of the emulator's box that is not a limit of the parameter [parameter].
+    at_edge: np.ndarray
 
 
 def transform(summaries: np.ndarray) -> np.ndarray:
@@ -123,10 +124,10 @@ def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed
         is_near = np.isfinite(summaries).all(axis=1) & (np.abs(points - centre) <= 1.5 * half).all(axis=1)
         near, values = points[is_near], transform(summaries[is_near])
         emulator = _fit_emulator(near, values, centre, half)
-        best = fit_world(emulator, observed)
+        optimum = fit_world(emulator, observed)
         # Points that may be the best: the emulator's optimum, the nearest realisation, and the one of the round before.
         nearest = near[np.argmin([_chi2_of_residual(emulator, transform(observed) - row) for row in values])]
-        candidates = np.array([best.point, nearest, centre])
+        candidates = np.array([optimum.point, nearest, centre])
         # Keys from MAX_ROUNDS on: random numbers apart from those of the rounds.
         trials = simulate(np.repeat(candidates, TRIALS, axis=0), MAX_ROUNDS + number)
         chi2 = []
@@ -134,10 +135,10 @@ def build_emulator(world: World, simulate: Simulator, observed: np.ndarray, seed
             finite = realisations[np.isfinite(realisations).all(axis=1)]
             residual = transform(observed) - finite.mean(axis=0) if len(finite) else None
             chi2.append(np.inf if residual is None else _chi2_of_residual(emulator, residual))
-        first = int(np.argmin(chi2))
-        if number >= len(ROUNDS) - 1 and first == 0 and not best.at_edge.any():
+        best_index = int(np.argmin(chi2))  # 0 for the emulator's optimum
+        if number >= len(ROUNDS) - 1 and best_index == 0 and not optimum.at_edge.any():
             return replace(emulator, has_converged=True)
-        centre = candidates[first]
+        centre = candidates[best_index]
     assert emulator is not None
     return emulator
 

@@ -45,7 +45,10 @@ def predict(world: World, values: Values, rng: np.random.Generator) -> list[Pred
 
 
 def count_frames_to_separate(first: Prediction, second: Prediction) -> float:
-    """Return the frames per world whose means differ by `SEPARATION` standard errors; infinite for equal means."""
+    """Return the number of frames of each world at which the means differ by `SEPARATION` standard errors.
+
+    It is at least 2, and infinite for equal means.
+    """
     difference = abs(first.mean - second.mean)
     variance = first.sd**2 + second.sd**2
     return float(np.ceil(max(2.0, SEPARATION**2 * variance / difference**2))) if difference > 0 else np.inf
@@ -68,7 +71,8 @@ def _summarise(images: np.ndarray, label: str) -> list[Prediction]:
 def measure_profile_ratio(image: np.ndarray) -> float:
     """Return the radius [px] at which the mean profile falls below 20 % of its maximum, over that for 80 %.
 
-    It is 2.69 for a Gaussian and 7.2 for an exponential profile; NaN if the profile does not fall so far.
+    The spot is in the middle of `image` [y, x] in DN. The result [1] is 2.69 for a Gaussian and 7.2 for an exponential
+    profile; NaN if the profile does not fall so far.
     """
     radius = np.hypot(*(np.indices(image.shape) - SIDE / 2)).astype(int).ravel()
     profile = np.bincount(radius, image.ravel()) / np.maximum(np.bincount(radius), 1)
@@ -88,8 +92,8 @@ def measure_profile_ratio(image: np.ndarray) -> float:
 def list_separations(predictions: Sequence[list[Prediction]]) -> list[list[float]]:
     """Return the smallest number of frames that separates each pair of worlds [world, world]; 0 on the diagonal.
 
-    `predictions` are those of each world, with the same quantities in the same order. The quantity that separates a
-    pair best counts.
+    `predictions` are those of each world, with the same quantities in the same order. The number for a pair is that of
+    the quantity which needs the fewest frames.
     """
     return [
         [0.0 if first is second else min(map(count_frames_to_separate, first, second)) for second in predictions]

@@ -49,7 +49,8 @@ class World:
     name: str  # key of the world
     title: str  # name for tables and legends
     parameters: tuple[Parameter, ...]  # free parameters
-    # Light [y, x] in DN from radius [y, x] in px, exposure [s], values, and the factor on the width of the site [1].
+    # Light [y, x] in DN, from the distance to the spot's centre [y, x] in px, the exposure [s], the values of the
+    # parameters, and the factor by which the spot of the site is wider than that of the parameters [1].
     light: Callable[[np.ndarray, float, Values, float], np.ndarray]
     # Electrons after the sensor's limit, from electrons [y, x], values and random generator.
     limit: Callable[[np.ndarray, Values, np.random.Generator], np.ndarray]
@@ -106,7 +107,8 @@ class World:
 def photon_gain(world: World, values: Values) -> float:
     """Return the light of the spot at the longest exposure over that of a Lambertian surface of 2 % reflectance [1].
 
-    The paper's chain without ϱ_s and with the solid angle of the lens in place of 1/f_a² gives `LAMBERTIAN_DN` in all.
+    `LAMBERTIAN_DN` is the light of the whole spot by the paper's photon budget, without its scattering factor ϱ_s and
+    with the solid angle of the lens in place of 1/f_a².
     """
     pixels = np.arange(SIDE) - SIDE / 2
     radius = np.hypot(pixels[None, :], pixels[:, None])
@@ -116,27 +118,31 @@ def photon_gain(world: World, values: Values) -> float:
 def draw_speckle(rng: np.random.Generator) -> np.ndarray:
     """Return one fully developed speckle pattern [y, x] of mean 1, averaged over each pixel."""
     fine = SIDE * OVERSAMPLING
+    # Spatial frequencies of the fine grid [cycles per px].
     frequency = np.fft.fftfreq(fine) * OVERSAMPLING
     is_passed = np.hypot(frequency[None, :], frequency[:, None]) < FIELD_CUTOFF
     # Single precision suffices for a pattern, and takes half the time.
     field = np.zeros((fine, fine), np.complex64)
-    numbers = rng.standard_normal((2, is_passed.sum()), np.float32)
-    field[is_passed] = numbers[0] + 1j * numbers[1]
+    real, imaginary = rng.standard_normal((2, is_passed.sum()), np.float32)
+    field[is_passed] = real + 1j * imaginary
     amplitude = fft.ifft2(field)
     intensity = amplitude.real**2 + amplitude.imag**2
-    blocks = intensity.reshape(SIDE, OVERSAMPLING, SIDE, OVERSAMPLING).mean(axis=(1, 3))
-    return blocks / blocks.mean()
+    pixel_means = intensity.reshape(SIDE, OVERSAMPLING, SIDE, OVERSAMPLING).mean(axis=(1, 3))
+    return pixel_means / pixel_means.mean()
 
 
 def _growing_light(radius, exposure_s, values, width_factor):
-    """Return the light of the paper's model: width p1 ln t + p2, level after Eqs. 13 and 28, top hat of Eq. 39.
+    """Return the light of the paper's model: a Gaussian that widens with the exposure, cut by a top hat (Eq. 39).
 
-    Arguments and result are those of `World.light`.
+    With p_b = `width_factor` · (p1 ln t + p2), the width is σ_g = p_b + `LASER_PX`. The top hat cuts the Gaussian at
+    plateau · (p_b/σ_g)² in DN (Eqs. 13 and 28). Arguments and result are those of `World.light`.
     """
     propagation_px = width_factor * propagation.beam_propagation(exposure_s, values["p1"], values["p2"])
+    # At short exposures p_b may be negative; the Gaussian needs a positive width.
     sigma_px = propagation.spot_sigma(max(propagation_px, 1.0), LASER_PX)
-    level = values["plateau"] * (propagation_px / sigma_px) ** 2 / spot.TOP_HAT_LEVEL
-    return spot.top_hat(level * np.exp(-(radius**2) / (2 * sigma_px**2)), level)
+    # Peak of the Gaussian before the top hat, which leaves the part `TOP_HAT_LEVEL` of it.
+    peak_dn = values["plateau"] * (propagation_px / sigma_px) ** 2 / spot.TOP_HAT_LEVEL
+    return spot.top_hat(peak_dn * np.exp(-(radius**2) / (2 * sigma_px**2)), peak_dn)
 
 
 def _gaussian_light(radius, exposure_s, values, width_factor):
@@ -153,27 +159,32 @@ def _exponential_light(radius, exposure_s, values, width_factor):
 
 
 def _keep(electrons, values, rng):
-    """Return the electrons: no limit but the converter's."""
+    """Return the electrons unchanged: only the converter limits the readings. Arguments are those of `World.limit`."""
     return electrons
 
 
 def _clip(electrons, values, rng):
-    """Return electrons clipped at a level that scatters from pixel to pixel."""
+    """Return electrons clipped at a level that scatters from pixel to pixel; arguments as `World.limit`."""
     level_e = values["level"] / GAIN_DN_PER_E * (1 + values["level_scatter"] * rng.standard_normal(electrons.shape))
     return np.minimum(electrons, level_e)
 
 
 def _bend(electrons, values, rng):
-    """Return electrons of a pixel whose response bends smoothly towards a level."""
+    """Return electrons of a pixel whose response bends smoothly towards a level; arguments as `World.limit`."""
     level_e, order = values["level"] / GAIN_DN_PER_E, values["order"]
     return electrons / (1 + (electrons / level_e) ** order) ** (1 / order)
 
 
 def _clip_during_exposure(electrons, values, rng):
-    """Return electrons of a pixel that is held at a level until a last, short part of the exposure."""
+    """Return electrons of a pixel whose charge is limited to a level, except during the last part of the exposure.
+
+    `last_slope` is this part of the exposure [1]. Arguments are those of `World.limit`.
+    """
     return np.minimum(electrons, values["level"] / GAIN_DN_PER_E + values["last_slope"] * electrons)
 
 
+# Standard deviation over sites of ln brightness, contrast of the speckle, peak of the light at the longest exposure,
+# level at which the sensor limits a pixel, and scale of the profile: σ of a Gaussian, or 1/e radius.
 _BRIGHTNESS = Parameter("brightness_sd", "1", 0.05, 2.0)
 _CONTRAST = Parameter("contrast", "1", 0.05, 1.0)
 _PEAK = Parameter("peak", "DN", 1e3, 1e6)
@@ -187,9 +198,9 @@ WORLDS = (
         (
             Parameter("p1", "px", 1.5, 4.0),
             Parameter("p2", "px", 25.0, 50.0),
-            Parameter("plateau", "DN", 500.0, 2000.0),
+            Parameter("plateau", "DN", 500.0, 2000.0),  # level of the top hat of a spot much wider than the laser
             _BRIGHTNESS,
-            Parameter("width_sd", "1", 0.02, 0.5),
+            Parameter("width_sd", "1", 0.02, 0.5),  # standard deviation over sites of the logarithm of the width factor
             _CONTRAST,
         ),
         _growing_light,

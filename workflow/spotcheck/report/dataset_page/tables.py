@@ -64,13 +64,15 @@ def summarize_frames(frames: xr.Dataset) -> str:
 def tabulate_sensor(sensor: xr.Dataset, citations: Citations) -> list[Row]:
     """Return a row for each quantity of the sensor: the value in use and its source, and the value by each source.
 
-    Sources are, for example, the data sheet and the flats.
+    Sources are, for example, the data sheet and the flats. A row has the name of the quantity, its `value`, standard
+    `error` and `units`, the `source` of the value, and `by_source`: value and standard error by each source.
     """
     rows = []
     for name, (unit, long_name) in SENSOR_QUANTITIES.items():
         value, error = float(sensor[name]), float(sensor[f"{name}_stderr"])
+        # A full well is infinite if there is none: no pixel is ever full.
         text = "unknown" if np.isnan(value) else "none" if np.isinf(value) else f"{value:.4g}"
-        # Name of each source, and its value and standard error of the quantity [source].
+        # Names of the sources, and the values and standard errors that they give, each [source].
         columns = (sensor[variable].values for variable in ("source", f"{name}_by", f"{name}_by_stderr"))
         rows.append(
             {

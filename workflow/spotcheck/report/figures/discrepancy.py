@@ -44,7 +44,7 @@ LEFT, RIGHT, GAP, MODEL_GAP, PROFILE_GAP, PROFILE_RIGHT = 0.65, 0.95, 0.06, 0.25
 TOP, MIDDLE, PROFILE_HEIGHT, BOTTOM = 0.55, 0.75, 1.75, 0.5
 # Colour bar [inch]: distance from the maps, width, and largest height.
 BAR_GAP, BAR_WIDTH, MAX_BAR_HEIGHT = 0.3, 0.1, 2.8
-# Titles below the upper edge of the figure, label of the abscissa below the maps, label of the ordinate left of them.
+# Distances [inch]: titles from the upper edge of the figure, labels of abscissa and ordinate from the maps.
 TITLE_OFFSET, LABEL_OFFSET, ORDINATE_OFFSET = 0.3, 0.22, 0.38
 
 
@@ -65,6 +65,7 @@ class ConditionTable:
 def tabulate_conditions(ds: xr.Dataset) -> ConditionTable:
     """Return the table of the conditions; `ds` is the content of discrepancy.nc."""
     dims = tuple(str(dim) for dim in ds["sigma"].dims if dim != "exposure")
+    # A place is an index on each of the dimensions.
     rows = [series.condition_text(ds, place) for place in series.iterate_places(ds, dims)]
     return ConditionTable(dims, rows, [series.value_text(ds, "exposure", k) for k in range(ds.sizes["exposure"])])
 
@@ -117,7 +118,7 @@ def draw_residuals(results: Results) -> style.Drawing:
 
 
 def _map_title(model: str, models: list[str]) -> str:
-    """Return the title of the maps of `model`; its name before or after is only needed beside another of `models`."""
+    """Return the title of the maps of `model`; it begins with "before" or "after" if there are two `models`."""
     name = "declared" if model == BEFORE else "extended"
     return f"{f'{model}: ' if len(models) > 1 else ''}measured − {name} model"
 

@@ -123,7 +123,11 @@ def draw_metric(results: Results, plot: MetricPlot) -> style.Drawing:
 
 
 def _select_values(ds: xr.Dataset, metric: str, fit: str, source: str) -> xr.DataArray:
-    """Return a metric [grid] of the crops of a source that are centred on the light; NaN for fits not to be trusted."""
+    """Return the values of a metric [dimensions of the grid], in its unit, of the crops that are centred on the light.
+
+    `fit` and `source` are labels of metrics.nc, such as "least_squares" and "measured". Metrics that are parameters of
+    the fit are NaN where the fit is not trusted.
+    """
     chosen = ds.sel(centring="light", fit=fit, source=source)
     values = chosen[metric]
     return values.where((chosen["status"] & store.UNTRUSTED) == 0) if metric in FIT_PARAMETERS else values

@@ -18,7 +18,7 @@ from spotcheck.paper.rivals.summaries import MIDDLE_S
 from spotcheck.paper.rivals.worlds import EXPOSURES_S, LASER_PX
 from spotcheck.report.figures import style
 
-# Content of rival_worlds.json by key.
+# Content of rival_worlds.json by key, or that of one of its worlds, summaries or predictions.
 Record = dict[str, Any]
 # A world misses a number at p-values below `MISSED_P`. Limits of the colours, from low p-values to high ones.
 MISSED_P = 0.05
@@ -200,7 +200,10 @@ def _find_prediction(world: Record, experiment: str) -> Record:
 
 
 def _choose_row_unit(summary: Record) -> tuple[float, str]:
-    """Return the factor of the values of a row, and the name of the summary with the unit after it."""
+    """Return a factor for the values of a summary, and its label: name and unit of the values times this factor.
+
+    The keys of `summary` are the fields of `spotcheck.paper.rivals.summaries.Summary`.
+    """
     name = summary["name"].replace("_sd", " sd").replace("_", " ")
     if summary["unit"] == "1" and summary["printed"] < LARGEST_SHARE:
         return 100.0, style.axis_label(name, "%")

@@ -98,7 +98,7 @@ def value_text(ds: xr.Dataset, dim: str, k: int) -> str:
 
 
 def iterate_places(ds: xr.Dataset, dims: Iterable[str]) -> Iterator[dict[str, int]]:
-    """Yield each combination of indices on some dimensions, the last one varying fastest, by dimension."""
+    """Yield each place on some dimensions: an index of each dimension, by its name. The last one varies fastest."""
     dims = tuple(dims)
     for index in np.ndindex(*(ds.sizes[dim] for dim in dims)):
         yield dict(zip(dims, index, strict=True))

@@ -53,7 +53,7 @@ STEPS = (
 
 def draw_flow(results: Results) -> style.Drawing:
     """Draw the steps of the simulation from top to bottom, and beside each the stages of the model with its effects."""
-    added = _named_effects(results)
+    added = _list_effects_by_stage(results)
     height = len(STEPS) * (STEP_HEIGHT + STEP_GAP) + 0.3
     figure = style.new_figure(height)
     ax = figure.add_subplot()
@@ -78,19 +78,26 @@ def draw_flow(results: Results) -> style.Drawing:
     return style.Drawing(figure, caption)
 
 
-def _named_effects(results: Results) -> dict[Stage, list[str]]:
-    """Return the names of the verdict's effects by the stage at which they first act; {} without a verdict."""
+def _list_effects_by_stage(results: Results) -> dict[Stage, list[str]]:
+    """Return the names of the verdict's effects by stage; {} without a verdict.
+
+    The stage of an effect is the first one of its first variant. Effects outside the vocabulary are left out, and so is
+    the learned light, which acts at no stage.
+    """
     try:
         names = [effect["name"] for effect in results.verdict()["effects"]]
     except Unavailable:
         return {}
-    stages: dict[Stage, list[str]] = {}
+    names_by_stage: dict[Stage, list[str]] = {}
     effects = vocabulary()
-    for name in filter(effects.__contains__, names):
-        steps = next(iter(effects[name].variants.values()))
-        if steps:
-            stages.setdefault(steps[0].stage, []).append(name.replace("_", " "))
-    return stages
+    for name in names:
+        if name not in effects:
+            continue
+        # Functions of the first variant; each acts at a stage.
+        functions = next(iter(effects[name].variants.values()))
+        if functions:
+            names_by_stage.setdefault(functions[0].stage, []).append(name.replace("_", " "))
+    return names_by_stage
 
 
 def _draw_step(ax: Axes, step: Step, number: int, top: float) -> None:

@@ -121,7 +121,7 @@ def read_number(ds: xr.Dataset, entry: CatalogEntry, labels: Mapping[str, str | 
 
 
 def _read_quantity(ds: xr.Dataset, name: str) -> StoredNumber:
-    """Return a quantity of EMVA 1288 from the long table of transfer.nc."""
+    """Return a quantity of EMVA 1288 from the long table of transfer.nc; `name` is its key in `QUANTITIES`."""
     row = ds.isel(quantity=ds["quantity"].values.tolist().index(name))
     _, _, meaning = QUANTITIES[name]
     return StoredNumber(
@@ -130,7 +130,7 @@ def _read_quantity(ds: xr.Dataset, name: str) -> StoredNumber:
         unit=str(row["unit"].item()),
         description=f"{meaning} ({row['symbol'].item()} of EMVA 1288)",
         variable=f"value[quantity={name}]",
-        method=str(row["why"].item()),
+        method=str(row["why"].item()),  # why the value is unknown; "" if it is known
     )
 
 

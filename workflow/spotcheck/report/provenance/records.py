@@ -37,7 +37,7 @@ class StoredNumber:
     unit: str  # unit; "1" for a pure number
     description: str  # meaning of the number
     variable: str  # variable or key in the file, with the selected labels
-    method: str = ""  # how the number was obtained; "" if the file does not say
+    method: str = ""  # how the number was obtained, or why it is unknown; "" if the file does not say
     labels: Mapping[str, str] = field(default_factory=dict)  # selected label of each dimension, without default labels
 
 
