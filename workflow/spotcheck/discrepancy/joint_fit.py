@@ -17,10 +17,12 @@ import numpy as np
 from spotcheck.discrepancy.frames import SPOT_PARAMETERS, Design, FrameParameters, Pixels
 from spotcheck.discrepancy.normal_equations import NormalEquations, assemble
 from spotcheck.discrepancy.shape_grid import ShapeGrid
+from spotcheck.discrepancy.shape_sums import SPLINES
 from spotcheck.discrepancy.site_draws import improve_draws
 from spotcheck.model.effect import AppliedEffect, EffectScales, RandomStep, keyword_names_of
 from spotcheck.model.forward import ForwardModel
 from spotcheck.model.light_shape import LightShape
+from spotcheck.sensor.model import noise_line
 
 # Newton decrement of the effects, beside all other unknowns, below which a fit has converged [−2 ln L]: the effects are
 # within 0.2 standard errors of the optimum.
@@ -53,9 +55,10 @@ BOUND_ROUNDS = 3
 # Largest peak of a spot [full scales]: its flanks at full scale would lie beyond 3 σ. Tables of brighter light take
 # gigabytes.
 LARGEST_PEAK = 100.0
-# Least light of a free shape [peak]. A shape that may go far below 0 lets false clips be fitted. The small margin lets
-# noise scatter about 0.
-LEAST_LIGHT = -0.0005
+# Least light of a free shape [peak], and how many standard errors it may lie below 0, in the mean over a block of
+# nodes. The lower of both counts. A shape that may go far below 0 lets false clips be fitted. A shape that may not
+# scatter about 0 by its noise is too bright in the mean, and a pedestal beside it too low.
+LEAST_LIGHT, LEAST_LIGHT_ERRORS = -0.0005, 4.0
 # Range of the fitted read noise, relative to the stated one.
 READ_NOISE_RANGE = (0.5, 3.0)
 
@@ -89,6 +92,8 @@ class JointModel:
     design: Design  # conditions of the frames
     free: tuple[FreeParameter, ...] = ()  # fitted parameters of sensor and effects
     grid: ShapeGrid | None = None  # nodes of the free light shape; None if no shape is fitted
+    # Least mean light of a block of nodes of the free shape [peak]; `fit_jointly` sets it.
+    least_light: float = LEAST_LIGHT
 
     @property
     def coefficients(self) -> np.ndarray:
@@ -97,15 +102,38 @@ class JointModel:
         assert learned is not None
         return learned.coefficients.ravel()
 
-    @property
-    def least_coefficients(self) -> np.ndarray:
-        """Least values of the coefficients [coefficient], in units of the peak.
+    def with_least_light(self, share: float) -> "JointModel":
+        """Return the model with the least light of a fit to `share` of the pixels; no block of its shape lies below.
 
-        With them the light at each node, declared shape plus coefficient, is `LEAST_LIGHT`.
+        The standard error of the mean light of a block is that of dark readings at all its pixels.
+        """
+        assert self.grid is not None
+        sensor = self.forward.sensor
+        pixels = (SPLINES * self.grid.step * np.exp(self.spots.log_sigma)) ** 2
+        variance = float(noise_line(sensor).variance(np.asarray(sensor.black_level_dn)))
+        information = share * float(np.sum(np.exp(2 * self.spots.log_peak) * pixels)) / variance
+        least_light = min(LEAST_LIGHT, -LEAST_LIGHT_ERRORS / np.sqrt(information))
+        return replace(self, least_light=least_light).with_bounded_light(False)
+
+    def with_bounded_light(self, is_at_bound: np.ndarray | bool) -> "JointModel":
+        """Return the model with blocks of nodes below the least light raised to it.
+
+        Blocks that are at the bound [block row, block column] are lowered to it as well.
+        """
+        assert self.grid is not None
+        missing_light = self.least_light - self.mean_light()
+        missing_light = np.where(is_at_bound, missing_light, np.maximum(missing_light, 0.0))
+        return self.with_coefficients(self.coefficients + self.grid.spread_blocks(missing_light))
+
+    def mean_light(self) -> np.ndarray:
+        """Return the mean light of blocks of nodes of the free shape, in peaks [block row, block column].
+
+        It is 0 for blocks with nodes whose light is fixed at 0.
         """
         assert self.grid is not None
         declared, nodes = replace(self.forward.baseline, learned=None), self.grid.places
-        return LEAST_LIGHT - declared.spot(nodes[None, :], nodes[:, None], 1.0, 1.0).ravel()
+        light = declared.spot(nodes[None, :], nodes[:, None], 1.0, 1.0).ravel() + self.coefficients
+        return np.where(self.grid.average_blocks(self.grid.is_outer) > 0, 0.0, self.grid.average_blocks(light))
 
     def with_coefficients(self, coefficients: np.ndarray) -> "JointModel":
         """Return the model with other coefficients of the free light shape [coefficient]; its fine structure stays."""
@@ -236,6 +264,7 @@ def fit_jointly(
     target : float, optional
         −2 ln L to reach, for a start near the optimum. The fit ends early if `REACHABLE_DROP` decrements miss it.
     """
+    model = model if model.grid is None else model.with_least_light(pixels.share)
     equations = assemble(model, pixels)
     damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0  # `factor_age`: steps since the factor was computed
     total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
@@ -257,7 +286,7 @@ def fit_jointly(
             break
         if accepted is None:
             # The reused factor may be the reason for the failure.
-            equations, factor_age = assemble(model, pixels), 0
+            equations, factor_age, step_fraction = assemble(model, pixels), 0, 1.0
             continue
         model, new = accepted
         gain = equations.deviance - new.deviance
@@ -334,12 +363,13 @@ def _move(model: JointModel, equations: NormalEquations, step: np.ndarray, step_
     """Return the model after a step [unknown], which is `step_fraction` times the full one.
 
     Steps of spots are limited to `LARGEST_STEPS`, within which the linear model is useful. All parameters stay within
-    their bounds. The coefficients of a free shape take the same fraction of their step.
+    their bounds. The coefficients of a free shape take the same fraction of their step; blocks at the least light stay
+    or move there, others are raised to it.
     """
-    if model.grid is not None:
+    if model.grid is not None and equations.shape is not None:
         change = equations.shape_step(step / step_fraction)
-        coefficients = np.maximum(model.coefficients + step_fraction * change, model.least_coefficients)
-        model = model.with_coefficients(coefficients)
+        model = model.with_coefficients(model.coefficients + step_fraction * change)
+        model = model.with_bounded_light(equations.shape.is_at_bound)
     frames = len(model.spots.x)
     spot_steps = step[: SPOT_PARAMETERS * frames].reshape(frames, SPOT_PARAMETERS).T
     sigma = np.exp(model.spots.log_sigma)

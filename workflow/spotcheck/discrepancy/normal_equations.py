@@ -23,7 +23,7 @@ from scipy import linalg
 from spotcheck.discrepancy.evaluation import Column, Evaluation, differentiate_readings, evaluate, sum_batches
 from spotcheck.discrepancy.frames import CENTRE_X, SPOT_PARAMETERS, Pixels
 from spotcheck.discrepancy.shape_grid import BlockFactor
-from spotcheck.discrepancy.shape_sums import NEIGHBOURS, ShapeSums
+from spotcheck.discrepancy.shape_sums import ShapeSums
 
 if TYPE_CHECKING:
     from spotcheck.discrepancy.joint_fit import JointModel
@@ -32,8 +32,10 @@ if TYPE_CHECKING:
 NULL_EIGENVALUE = 1e-12
 # Weight of the condition that steps of spots sum to 0 over frames, relative to a spot's median information over F.
 GAUGE_WEIGHT = 1e4
-# Information that is added for a coefficient of the shape that stays at its least value, relative to the largest.
-AT_BOUND = 1e8
+# Part of its least light, which is negative, below which a block of the shape may stay at it.
+NEAR_BOUND = 0.99
+# Information on the sum over a block that stays at its least light, relative to the largest of a coefficient.
+AT_BOUND = 1e6
 # Added to the unit diagonal of a scaled information matrix, so that it can be factored.
 RIDGE = 1e-11
 # Relative singular values below which a singular system is solved without a direction.
@@ -49,6 +51,7 @@ class ShapePart:
     spots_schur: np.ndarray  # (L⁻¹C)'(L⁻¹C) of the spots [4F, 4F]
     others_cross: np.ndarray  # L⁻¹C of the fitted parameters of sensor and effects [coefficient, k]
     score: np.ndarray  # L⁻¹b [coefficient]
+    is_at_bound: np.ndarray | bool = False  # blocks of nodes that stay at their least light [block row, block column]
 
     def multiply_cross(self, values: np.ndarray) -> np.ndarray:
         """Return the product L⁻¹C · values [coefficient, …] for values of the other unknowns [n, …]."""
@@ -203,16 +206,18 @@ def assemble(model: JointModel, pixels: Pixels, reuse: ShapePart | None = None) 
     deviance += _add_priors(model, information, gradient, pixels.share)
     if model.grid is None:
         return NormalEquations(information, gradient, np.diag(information), deviance, dispersion, frames)
-    penalty = pixels.share * model.grid.penalize(coefficients)
+    grid = model.grid
+    penalty = pixels.share * grid.penalize(coefficients)
     products = shape_sums[0]
     if reuse is None:
         band = shape_sums[1]
-        # A coefficient at its least value whose score points below stays there.
-        is_at_bound = (coefficients <= model.least_coefficients) & (products[:, 0] - penalty < 0)
-        band[NEIGHBOURS] += AT_BOUND * band[NEIGHBOURS].max() * is_at_bound
-        factor = BlockFactor(model.grid, band, pixels.share)
+        # A block near its least light whose score points below is moved there and stays.
+        is_near = model.mean_light() < NEAR_BOUND * model.least_light
+        is_at_bound = is_near & (grid.average_blocks(products[:, 0] - penalty) < 0)
+        grid.add_to_sums(band, AT_BOUND * band.max() * is_at_bound)
+        factor = BlockFactor(grid, band, pixels.share)
         spots_cross = factor.half_solve(spots_cross)
-        reuse = ShapePart(factor, spots_cross, spots_cross.T @ spots_cross, np.zeros((0, 0)), np.zeros(0))
+        reuse = ShapePart(factor, spots_cross, spots_cross.T @ spots_cross, np.zeros((0, 0)), np.zeros(0), is_at_bound)
     products[:, 0] -= penalty
     # L⁻¹ times the score of the coefficients (first column) and their information with the fitted parameters.
     half_solutions = reuse.factor.half_solve(products)

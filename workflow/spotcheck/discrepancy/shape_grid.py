@@ -13,7 +13,7 @@ from functools import cached_property, partial
 import numpy as np
 from scipy import linalg
 
-from spotcheck.discrepancy.shape_sums import NEIGHBOURS
+from spotcheck.discrepancy.shape_sums import NEIGHBOURS, SPLINES
 
 # Distance of the nodes [σ]: with 0.2 σ real beams appear to have an effect (a bend q = −0.018) that they do not have.
 STEP = 0.13
@@ -67,10 +67,47 @@ class ShapeGrid:
             along_v[: nodes - distance] = np.diagonal(line, -distance)[:, None]
             for offset, values in ((distance, along_u), (distance * nodes, along_v)):
                 penalty[offset] = penalty.get(offset, 0.0) + weight * values.ravel()
-        from_middle = np.arange(nodes) - (nodes - 1) / 2
-        is_outer = np.hypot(from_middle[:, None], from_middle) > (nodes - 1) / 2 - NEIGHBOURS
-        penalty[0] = penalty[0] + weight * (RIDGE + FIXED_AT_ZERO * is_outer.ravel())
+        penalty[0] = penalty[0] + weight * (RIDGE + FIXED_AT_ZERO * self.is_outer)
         return penalty
+
+    @property
+    def is_outer(self) -> np.ndarray:
+        """Whether a node lies beyond the circle within the square, where the shape is 0 [coefficient]."""
+        distance = np.hypot(self.places[:, None], self.places) / self.step
+        return (distance > (self.nodes - 1) / 2 - NEIGHBOURS).ravel()
+
+    @cached_property
+    def block_of_node(self) -> np.ndarray:
+        """Number of the block of each node along a side [node].
+
+        A block has `SPLINES` nodes along each side, so that two of its nodes lie within the band of the information.
+        The last block of a line holds fewer.
+        """
+        return np.arange(self.nodes) // SPLINES
+
+    def average_blocks(self, values: np.ndarray) -> np.ndarray:
+        """Return the means of values [coefficient] over blocks of nodes [block row, block column]."""
+        lengths = np.bincount(self.block_of_node)
+        starts = np.arange(len(lengths)) * SPLINES
+        sums = np.add.reduceat(np.add.reduceat(values.reshape(self.nodes, self.nodes), starts, axis=0), starts, axis=1)
+        return sums / np.outer(lengths, lengths)
+
+    def spread_blocks(self, values: np.ndarray) -> np.ndarray:
+        """Return to each node the value of its block [coefficient]; `values` are [block row, block column]."""
+        return values[np.ix_(self.block_of_node, self.block_of_node)].ravel()
+
+    def add_to_sums(self, band: np.ndarray, information: np.ndarray) -> None:
+        """Add information on the sums over blocks [block row, block column] to a band of information in place.
+
+        `band` is in the form of `ShapeSums.band`.
+        """
+        of_node = self.spread_blocks(information)
+        row, column = np.divmod(np.arange(self.nodes**2), self.nodes)
+        width = 2 * NEIGHBOURS + 1
+        for k, values in enumerate(band):
+            other_row, other_column = row + k // width, column + k % width - NEIGHBOURS
+            is_in_block = (other_row // SPLINES == row // SPLINES) & (other_column // SPLINES == column // SPLINES)
+            values += of_node * (is_in_block & (other_row < self.nodes) & (other_column < self.nodes))
 
     def penalize(self, coefficients: np.ndarray) -> np.ndarray:
         """Return P c [coefficient] for coefficients c [coefficient, peak]: half the gradient of the penalty."""
