@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy import selection as selection_module
-from spotcheck.discrepancy.candidates import changes_mean_image
+from spotcheck.discrepancy.candidates import changes_mean_image, list_starts, screen_candidates
 from spotcheck.discrepancy.frames import thin_pixels
-from spotcheck.discrepancy.selection import SelectedEffects, add_best_effect, select_effects, select_forward
+from spotcheck.discrepancy.selection import (
+    SelectedEffects,
+    SelectionStep,
+    add_best_effect,
+    eliminate_backward,
+    replace_removed,
+    select_effects,
+    select_forward,
+)
 from spotcheck.model.effects import vocabulary
+from spotcheck.model.effects.saturation import Variant
 from tests.samples import drawn_frames, models_of_frames
-from tests.samples.drawn_frames import DrawnCamera, DrawnLight, draw_frames, lay_out
-from tests.samples.models_of_frames import DEPARTURES, fit_drawn
+from tests.samples.drawn_frames import DrawnCamera, DrawnFrames, DrawnLight, draw_frames, lay_out
+from tests.samples.models_of_frames import DEPARTURES, apply_effect, fit_drawn
 
 # Bound on the distance of one estimate from its truth in standard errors: two-sided 6.8e-6 for a normal estimate.
 LARGEST_Z = 4.5
@@ -21,6 +30,8 @@ LARGEST_Z = 4.5
 RANKED_PIXELS = 11_000
 # Factor on the brightness: tables of readings up to 512 DN take half the time of those up to 1024 DN.
 PEAK_FACTOR = 0.7
+# Level of a soft limit [DN]: 1.05 times the brightest spots.
+SOFT_LEVEL = 1.05 * PEAK_FACTOR * drawn_frames.PEAK
 SCALES = replace(models_of_frames.SCALES, peak_dn=PEAK_FACTOR * drawn_frames.PEAK)
 
 
@@ -83,3 +94,34 @@ def test_selection_finds_nothing_on_plain_frames():
     assert selected.fit.model.effect_names == () and selected.tests == {}
     # The read noise alone is fitted.
     assert selected.covariance.shape == (1, 1)
+
+
+def draw_soft_limit() -> DrawnFrames:
+    """Frames of a camera whose readings follow x/(1 + (x/`SOFT_LEVEL`)¹²)^(1/12), rounded."""
+    drawn = draw_frames(32, lay_out(angles_deg=(0.0, 60.0), repeats=1), peak_factor=PEAK_FACTOR)
+    signal = np.maximum(drawn.readings - drawn_frames.BLACK, 0.0)
+    noise = np.minimum(drawn.readings - drawn_frames.BLACK, 0.0)
+    limited = signal / (1 + (signal / SOFT_LEVEL) ** 12) ** (1 / 12)
+    return replace(drawn, readings=np.rint(drawn_frames.BLACK + limited + noise))
+
+
+def test_a_soft_limit_begins_above_the_brightest_reading():
+    """Of the starts of a variant that is a clip, the one whose change fits as it is takes part. A limit at the
+    brightest reading or below cannot be a soft one."""
+    fit = fit_drawn(draw_soft_limit())
+    candidates = screen_candidates(fit, list_starts([vocabulary()["saturation"]], SCALES))
+    start_of_variant = {candidate.start.variant: candidate.start for candidate in candidates}
+    assert len(start_of_variant) == len(candidates)
+    assert start_of_variant[Variant.POWER_WITH_NOISE].parameters["level"] == pytest.approx(1.1 * SCALES.peak_dn)
+
+
+def test_another_effect_is_sought_in_place_of_a_removed_one():
+    """A bend in the place of a clip fails its test. Of the effects without the bend, the clip is then selected."""
+    clip = DEPARTURES["clip"]
+    drawn = draw_frames(32, lay_out(angles_deg=(0.0, 60.0), repeats=1), clip.light, clip.camera, PEAK_FACTOR)
+    with_bend = fit_drawn(drawn, apply_effect("nonlinearity", q=0.02))
+    path = [SelectionStep(with_bend, np.nan)]
+    selected = eliminate_backward(path, SCALES)
+    assert not selected.tests
+    effects = [vocabulary()[name] for name in ("nonlinearity", "saturation")]
+    assert list(replace_removed(selected, path, effects, SCALES, lambda fit: fit).tests) == ["saturation"]

@@ -21,8 +21,6 @@ import numpy as np
 from spotcheck.discrepancy import fields
 from spotcheck.discrepancy.candidates import changes_mean_image
 from spotcheck.discrepancy.criteria import MIN_Z, PARAMETER_PRICE
-from spotcheck.discrepancy.evaluation import LEAST_VARIANCE
-from spotcheck.discrepancy.evidence import add_error_of_nodes
 from spotcheck.discrepancy.field_noise import covariance_by_field
 from spotcheck.discrepancy.fluctuations import Fluctuation, measure_components, measure_jitter
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet, LightField, add_field, select_pixels
@@ -45,7 +43,7 @@ from spotcheck.discrepancy.nested_models import LIGHT_SHAPE, FittedParts, Valida
 from spotcheck.discrepancy.residual_peaks import find_peaks
 from spotcheck.discrepancy.residuals import ResidualImages, measure_residuals
 from spotcheck.discrepancy.saturated_start import FIRST_ITERATIONS, fit_saturated
-from spotcheck.discrepancy.scatter import DarkNoise, DarkSlopes, measure_dark_noise
+from spotcheck.discrepancy.scatter import DarkNoise, measure_dark_noise, measure_dark_slopes, propagate_to_noise
 from spotcheck.discrepancy.selection import SelectedEffects, select_again, select_effects, withdraw_effects
 from spotcheck.discrepancy.spot_measurements import measure_spots
 from spotcheck.discrepancy.validation import has_field
@@ -60,8 +58,6 @@ from spotcheck.sensor import SensorModel
 BRIGHT_RANK = 40
 # Factor by which a fitted gain may differ from the stated one.
 GAIN_FACTOR = 2.0
-# Step of differences of dark readings, by their noise and by light, relative to the read noise.
-NOISE_STEP = 0.01
 # Largest reading [DN] of a camera whose full scale is unknown (infinite).
 LARGEST_READING_DN = 65535.0
 # Least difference of a spot's width from the laser's [px] in the start of the exponent of the width.
@@ -158,8 +154,7 @@ def analyse_frames(frames: FrameSet, spots: FrameParameters, setting: Setting, e
         refuted = analysis.validated.refuted() if analysis.validated else ()
         refuted_effects = tuple(name for name in refuted if name != LIGHT_SHAPE)  # A refuted shape stays in the fit.
         if not refuted_effects:
-            selected = replace(selected, covariance=add_error_of_nodes(selected.covariance, selected.fit))
-            return replace(analysis, selected=selected, withdrawn=withdrawn)
+            return replace(analysis, withdrawn=withdrawn)
         withdrawn = (*withdrawn, *refuted_effects)
         selected = withdraw_effects(selected, withdrawn, prepared.scales)
 
@@ -240,7 +235,7 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
         sensor = replace(fit.model.forward.sensor, read_noise_e=setting.sensor.read_noise_e)
         by_field = covariance_by_field(fit, prepared.frames, scatter.grains) if shows_grains(scatter.grains) else None
         search = LawSearch(measure_spots(fit, by_field), ForwardModel(setting.baseline, sensor), scales)
-    named = name_all_scatter(effects, scatter, fit, prepared, search)
+    named = name_all_scatter(effects, scatter, selected, prepared, search)
     analysis = Analysis(prepared, selected, shape, images, scatter, named, search, None, None)
     if search is None:
         return analysis
@@ -349,26 +344,6 @@ def measure_scatter(images: ResidualImages, fit: JointFit) -> Scatter:
     return Scatter(dark, grains, gains)
 
 
-def measure_dark_slopes(forward: ForwardModel) -> DarkSlopes:
-    """Return the derivatives of mean and variance of dark readings by the read noise's variance and by the light.
-
-    All are 0 if the variance of a dark reading is below the floor of the fit, `LEAST_VARIANCE`.
-    """
-    sensor, distribution = forward.sensor, forward.distribution()
-    if distribution.variance(0.0) < LEAST_VARIANCE:
-        return DarkSlopes(0.0, 0.0, 0.0, 0.0)
-    noises = [sensor.read_noise_e * (1 + shift) for shift in (-NOISE_STEP, NOISE_STEP)]
-    low, high = (replace(forward, sensor=replace(sensor, read_noise_e=noise)).distribution() for noise in noises)
-    noise_step = sensor.gain_dn_per_e**2 * (noises[1] ** 2 - noises[0] ** 2)
-    light_step = NOISE_STEP * distribution.noise_dn
-    return DarkSlopes(
-        variance_by_noise=float(high.variance(0.0) - low.variance(0.0)) / noise_step,
-        mean_by_noise=float(high.mean(0.0) - low.mean(0.0)) / noise_step,
-        variance_by_light=float(distribution.variance(light_step) - distribution.variance(0.0)) / light_step,
-        mean_by_light=float(distribution.mean(light_step) - distribution.mean(0.0)) / light_step,
-    )
-
-
 def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: ResidualImages) -> EffectScales:
     """Return the scales of a dataset, from which effects derive bounds and starting values.
 
@@ -402,7 +377,11 @@ def scales_of(frames: FrameSet, model: JointModel, setting: Setting, images: Res
 
 
 def name_all_scatter(
-    effects: Sequence[Effect], scatter: Scatter, fit: JointFit, prepared: Prepared, search: LawSearch | None
+    effects: Sequence[Effect],
+    scatter: Scatter,
+    selected: SelectedEffects,
+    prepared: Prepared,
+    search: LawSearch | None,
 ) -> tuple[NamedScatter, ...]:
     """Return the random effects that explain the scatter of pixels and, with a search for laws, that of the spots.
 
@@ -418,7 +397,9 @@ def name_all_scatter(
     if scatter.dark is not None:
         deviations[Stage.ROW_NOISE_AND_HOT_PIXELS, Scope.FRAME] = deviation_of_rows(scatter.dark)
         stderr = setting.stderr.get("read_noise_e", 0.0)
-        noise = white_noise(scatter.dark, fit.model.forward.sensor, setting.sensor, stderr)
+        model = selected.fit.model
+        by_parameters = propagate_to_noise(model, selected.covariance)
+        noise = white_noise(scatter.dark, model.forward.sensor, setting.sensor, stderr, by_parameters)
         read_noise = name_read_noise(effects, noise, setting.sensor, scales)
     if search is not None:
         components, jitter = measure_components(search), measure_jitter(search)

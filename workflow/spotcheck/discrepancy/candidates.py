@@ -137,6 +137,7 @@ def screen_candidates(fit: JointFit, starts: Sequence[AppliedEffect]) -> list[Ca
         if scaled is not None:
             drop, share = float(max(score * score / information - 1, 0.0)), float(information / alone)
             candidates.append(Candidate(scaled, drop, place, share, fit.pixels.mean_field_share))
+    candidates = select_clips(candidates, 2 * changes.score - changes.information)
     candidates.sort(key=lambda candidate: -candidate.score)
     if fit.pixels.mean_field_share == 0 or not candidates:
         return candidates
@@ -192,6 +193,22 @@ def value_is_one_sided(start: AppliedEffect) -> bool:
     """Return whether the strength of an effect is bounded below by the value at which the effect vanishes."""
     low = start.effect.parameters[0].low
     return not callable(low) and low == start.effect.vanishes_at
+
+
+def select_clips(candidates: Sequence[Candidate], drops: np.ndarray) -> list[Candidate]:
+    """Return the candidates with one clip of each variant: that with the largest drop at its start.
+
+    A clip begins at its start, unlike other effects, which begin at their estimated multiple of it. `drops` are the
+    expected drops of −2 ln L at the starts, 2U − I, by the candidates' places.
+    """
+    best: dict[tuple, Candidate] = {}  # best clip by (effect, variant)
+    for candidate in candidates:
+        effect, variant = candidate.start.effect, (candidate.start.effect.name, candidate.start.variant)
+        if not np.isfinite(effect.vanishes_at) and (
+            variant not in best or drops[candidate.place] > drops[best[variant].place]
+        ):
+            best[variant] = candidate
+    return [c for c in candidates if best.get((c.start.effect.name, c.start.variant), c) is c]
 
 
 def measure_field_shares(fit: JointFit, starts: Sequence[AppliedEffect], absorbed: Absorbed) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 
 from spotcheck.discrepancy import findings
 from spotcheck.discrepancy.advice import PresentFits, advise
-from spotcheck.discrepancy.analysis import Analysis, measure_dark_slopes
+from spotcheck.discrepancy.analysis import Analysis
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.discrepancy.detection import deviate_test, measure_unexplained, test_residuals
 from spotcheck.discrepancy.evidence import is_negligible
@@ -32,7 +32,7 @@ from spotcheck.discrepancy.named_scatter import NamedScatter, white_noise
 from spotcheck.discrepancy.nested_models import LIGHT_SHAPE
 from spotcheck.discrepancy.places import KnownScatter, find_places
 from spotcheck.discrepancy.residual_sums import sum_residuals
-from spotcheck.discrepancy.scatter import measure_dark_noise
+from spotcheck.discrepancy.scatter import measure_dark_noise, measure_dark_slopes
 from spotcheck.discrepancy.validation import has_field
 from spotcheck.discrepancy.verdict import effect_of_light
 from spotcheck.io import progress

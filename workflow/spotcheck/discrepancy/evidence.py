@@ -184,15 +184,24 @@ def assess_effect(
     known_gain : float, optional
         Drop of −2 ln L by the effect, if a fit without it exists.
     """
-    applied, position = fit.model.effect_named(name), position_of_strength(fit.model, name)
-    distance = distance_from_nothing(applied)
-    variance = max(covariance[position, position], TINY)
-    # An effect that vanishes at infinity has no finite z; its gain alone decides, unless the strength is unknown.
-    wald = distance**2 / variance if np.isfinite(distance) else (np.inf if np.isfinite(variance) else 0.0)
+    wald = square_z(fit.model, name, covariance)
     cells = compare_cells(fit, name)
     gain = measure_gain(fit, name, wald, cells.dispersion) if known_gain is None else known_gain
-    is_nothing = is_negligible(applied, scales)
+    is_nothing = is_negligible(fit.model.effect_named(name), scales)
     return EffectTest(gain, wald, cells.q, cells.count, cells.limit(gain), is_nothing, least_gain(fit.model))
+
+
+def square_z(model: JointModel, name: str, covariance: np.ndarray) -> float:
+    """Return the Wald z² of the strength of an effect for a covariance [fitted, fitted].
+
+    An effect that vanishes at infinity has no finite z: z² is infinite, or 0 if nothing is known of the strength.
+    """
+    position = position_of_strength(model, name)
+    variance = max(covariance[position, position], TINY)
+    distance = distance_from_nothing(model.effect_named(name))
+    if np.isfinite(distance):
+        return float(distance**2 / variance)
+    return np.inf if np.isfinite(variance) else 0.0
 
 
 def position_of_strength(model: JointModel, name: str) -> int:

@@ -154,8 +154,15 @@ class JointModel:
         return self.with_learned(replace(learned, finer=other_shape.finer))
 
     def with_free_shape(self, grid: ShapeGrid) -> "JointModel":
-        """Return the model with a free light shape, whose coefficients start at 0: the declared shape."""
-        return replace(self, grid=grid).with_coefficients(np.zeros(grid.nodes**2))
+        """Return the model with a free light shape on a grid.
+
+        It starts as the declared shape, or as the free shape that the model has on another grid.
+        """
+        coefficients = np.zeros((grid.nodes, grid.nodes))
+        if self.grid is not None:
+            present = LightShape(self.grid.step, self.coefficients.reshape(self.grid.nodes, self.grid.nodes))
+            coefficients = present(grid.places[None, :], grid.places[:, None])
+        return replace(self, grid=grid).with_coefficients(coefficients.ravel())
 
     def value_of(self, parameter: FreeParameter) -> float:
         """Return the value of a free parameter, in its unit."""

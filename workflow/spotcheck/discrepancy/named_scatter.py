@@ -166,7 +166,9 @@ class WhiteNoise:
     is_shared: bool  # whether neighbours in a row share more noise than whole rows do, so that it is not white
 
 
-def white_noise(dark: DarkNoise, fitted: SensorModel, stated: SensorModel, stated_stderr: float) -> WhiteNoise:
+def white_noise(
+    dark: DarkNoise, fitted: SensorModel, stated: SensorModel, stated_stderr: float, variance_by_parameters: float = 0.0
+) -> WhiteNoise:
     """Return the read noise of dark pixels.
 
     Parameters
@@ -177,6 +179,8 @@ def white_noise(dark: DarkNoise, fitted: SensorModel, stated: SensorModel, state
         Sensor of the fit, and that of the data sheet.
     stated_stderr : float
         Standard error of the stated read noise [e-].
+    variance_by_parameters : float
+        Result of `propagate_to_noise` [DN⁴]; 0 if no other parameters were fitted.
     """
     gain = stated.gain_dn_per_e
     white = (gain * fitted.read_noise_e) ** 2 + dark.white.value
@@ -186,8 +190,9 @@ def white_noise(dark: DarkNoise, fitted: SensorModel, stated: SensorModel, state
     total_e = float(np.sqrt(max(white, 0.0)) / gain)
     shared_excess = abs(dark.neighbour.value - dark.row.value)
     is_shared = shared_excess > MISFIT_SHARE * max(excess, 0.0) + MISFIT_SD * dark.neighbour.stderr
-    stderr_e = dark.white.stderr / (2 * gain**2 * max(total_e, 1e-9))
-    return WhiteNoise(total_e, stderr_e, excess / float(np.hypot(dark.white.stderr, stated_error)), is_shared)
+    stderr = float(np.hypot(dark.white.stderr, np.sqrt(variance_by_parameters)))
+    stderr_e = stderr / (2 * gain**2 * max(total_e, 1e-9))
+    return WhiteNoise(total_e, stderr_e, excess / float(np.hypot(stderr, stated_error)), is_shared)
 
 
 def name_read_noise(

@@ -8,12 +8,15 @@ those of the slopes, which gives covariances of the signal before rounding and t
 reading by the light, and which pixels are dark (`is_dark`, beyond 5 σ of the spot). A line is a row or a column.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
+from spotcheck.discrepancy.evaluation import LEAST_VARIANCE
+from spotcheck.discrepancy.joint_fit import JointModel
 from spotcheck.discrepancy.residuals import ResidualImages
+from spotcheck.model.forward import ForwardModel
 
 # Fewest dark pixels from which their noise is estimated.
 FEWEST_DARK = 5000
@@ -23,6 +26,8 @@ BLOCK_PX = 8
 # Frames from which on only the scatter over frames gives errors; with fewer frames the scatter over rows or columns
 # counts as well.
 MANY_FRAMES = 10
+# Step of differences of dark readings, by their noise and by light, relative to the read noise.
+NOISE_STEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,16 @@ class DarkSlopes:
     mean_by_noise: float  # [1/DN]
     variance_by_light: float  # [DN]
     mean_by_light: float  # [1]
+
+    @property
+    def variance_by_mean(self) -> float:
+        """Increase of the variance with light that raises the mean by 1 DN [DN]."""
+        return self.variance_by_light / self.mean_by_light
+
+    @property
+    def excess_by_noise(self) -> float:
+        """Increase of the variance with the noise, beyond that with light that raises the mean as much [1]."""
+        return self.variance_by_noise - self.variance_by_mean * self.mean_by_noise
 
 
 @dataclass(frozen=True)
@@ -82,6 +97,57 @@ def measure_dark_noise(images: ResidualImages, slopes: DarkSlopes) -> DarkNoise 
     return DarkNoise(white=_white_moment(images, slopes), same_row=same, **moments)
 
 
+def measure_dark_slopes(forward: ForwardModel) -> DarkSlopes:
+    """Return the derivatives of mean and variance of dark readings by the read noise's variance and by the light.
+
+    All are 0 if the variance of a dark reading is below the floor of the fit, `LEAST_VARIANCE`.
+    """
+    sensor, distribution = forward.sensor, forward.distribution()
+    if distribution.variance(0.0) < LEAST_VARIANCE:
+        return DarkSlopes(0.0, 0.0, 0.0, 0.0)
+    noises = [sensor.read_noise_e * (1 + shift) for shift in (-NOISE_STEP, NOISE_STEP)]
+    low, high = (replace(forward, sensor=replace(sensor, read_noise_e=noise)).distribution() for noise in noises)
+    noise_step = sensor.gain_dn_per_e**2 * (noises[1] ** 2 - noises[0] ** 2)
+    light_step = NOISE_STEP * distribution.noise_dn
+    return DarkSlopes(
+        variance_by_noise=float(high.variance(0.0) - low.variance(0.0)) / noise_step,
+        mean_by_noise=float(high.mean(0.0) - low.mean(0.0)) / noise_step,
+        variance_by_light=float(distribution.variance(light_step) - distribution.variance(0.0)) / light_step,
+        mean_by_light=float(distribution.mean(light_step) - distribution.mean(0.0)) / light_step,
+    )
+
+
+def propagate_to_noise(model: JointModel, covariance: np.ndarray) -> float:
+    """Return the variance that errors of fitted parameters cause in the white noise of dark pixels [DN⁴].
+
+    A clip at black, for example, hides a part of the noise, which depends on its threshold. The read noise itself is
+    no such parameter: its value in the model cancels in the noise that is found.
+
+    Parameters
+    ----------
+    model : JointModel
+        Model of the fit.
+    covariance : array [fitted, fitted]
+        Covariance of its fitted parameters of sensor and effects.
+    """
+    slopes = measure_dark_slopes(model.forward)
+    if slopes.variance_by_noise == 0:
+        return 0.0
+    stderr = np.sqrt(np.diag(covariance))
+    changes = np.zeros(len(stderr))  # change of the noise's variance by one standard error of each parameter [DN²]
+    for k, parameter in enumerate(model.free):
+        # Readings do not depend on a parameter whose error is infinite.
+        if parameter.name == "read_noise_e" or not np.isfinite(stderr[k]):
+            continue
+        value = model.value_of(parameter)
+        low, high = (model.with_value(parameter, value + sign * stderr[k]).forward.distribution() for sign in (-1, 1))
+        excess = [float(side.variance(0.0) - slopes.variance_by_mean * side.mean(0.0)) for side in (low, high)]
+        changes[k] = (excess[1] - excess[0]) / 2 / slopes.excess_by_noise
+    used = changes != 0
+    correlation = covariance[np.ix_(used, used)] / np.outer(stderr[used], stderr[used])
+    return float(changes[used] @ correlation @ changes[used])
+
+
 class LineProducts(NamedTuple):
     """Sums of products of dark pixels in each row or column of each frame."""
 
@@ -113,13 +179,11 @@ def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:
     The mean residual shows that light and is used to subtract its variance; the noise that is sought also shifts the
     mean, which the divisor takes into account.
     """
-    # Light that raises the mean by x raises the variance by this times x [DN].
-    variance_by_mean = slopes.variance_by_light / slopes.mean_by_light
     rows_of_frames = []
     for residual, weight, dark in zip(images.residual, images.weight, images.is_dark, strict=True):
         # Even rows and the odd rows below them.
         upper, lower = np.s_[: len(dark) // 2 * 2 : 2], np.s_[1::2]
-        variance = 1 / np.where(dark, weight, 1.0).astype(float) + variance_by_mean * residual
+        variance = 1 / np.where(dark, weight, 1.0).astype(float) + slopes.variance_by_mean * residual
         differences, variances = residual[upper].astype(float) - residual[lower], variance[upper] + variance[lower]
         both_dark = dark[upper] & dark[lower]
         used = both_dark[:, 1:] & both_dark[:, :-1]
@@ -128,7 +192,7 @@ def _white_moment(images: ResidualImages, slopes: DarkSlopes) -> Moment:
         rows_of_frames.append((excess.sum(axis=1), used.sum(axis=1)))
     excess, count = (np.array(rows) for rows in zip(*rows_of_frames, strict=True))
     # Four pixels contribute their variance to each second difference.
-    return ratio_moment(excess, 4 * (slopes.variance_by_noise - variance_by_mean * slopes.mean_by_noise) * count)
+    return ratio_moment(excess, 4 * slopes.excess_by_noise * count)
 
 
 def ratio_moment(products: np.ndarray, visible: np.ndarray) -> Moment:

@@ -27,11 +27,13 @@ from spotcheck.discrepancy.candidates import (
 from spotcheck.discrepancy.criteria import EXPLAINED_SHARE, MOST_EFFECTS, PARAMETER_PRICE, SHAPE_SHARES, VARIANT_TIE
 from spotcheck.discrepancy.evidence import (
     EffectTest,
+    add_error_of_nodes,
     assess_effect,
     compare_cells,
     estimate_covariance,
     is_negligible,
     least_gain,
+    square_z,
 )
 from spotcheck.discrepancy.frames import FrameParameters, Pixels, thin_pixels
 from spotcheck.discrepancy.joint_fit import JointFit, JointModel, fit_jointly
@@ -139,7 +141,7 @@ def select_effects(
             evidence = measure_thinned_evidence(selected.fit)
         # The drop is set to 0 if the shape differs less than `SHAPE_FLOOR` from the declared one.
         if evidence.drop == 0:
-            return selected
+            return replace_removed(selected, path, effects, scales, update)
     free = fit_free_shape(declared)
     free = free if free.has_converged else fit_jointly(free.model, free.pixels)
     path = select_forward(free, effects, scales, update)
@@ -149,7 +151,29 @@ def select_effects(
     fine = add_fine_structure(last.fit)
     if fine is not last.fit:
         path = [finish_step(replace(last, fit=fine, gain=np.nan))]
-    return replace(eliminate_backward(path, scales), with_shape=free)
+    selected = eliminate_backward(path, scales)
+    return replace(replace_removed(selected, path, effects, scales, update), with_shape=free)
+
+
+def replace_removed(
+    selected: SelectedEffects,
+    path: Sequence[SelectionStep],
+    effects: Sequence[Effect],
+    scales: EffectScales,
+    update: Update,
+) -> SelectedEffects:
+    """Return a selection in which other effects were sought in place of those that the backward elimination removed.
+
+    A removed effect may have won against the true one, for example if its formula can imitate more of the light's
+    noise. `path` holds the steps before the elimination; other parameters are as in `select_effects`.
+    """
+    while removed := set(path[-1].fit.model.effect_names) - set(selected.tests):
+        effects = [effect for effect in effects if effect.name not in removed]
+        next_path = select_forward(selected.fit, effects, scales, update)
+        if next_path is None or len(next_path) == 1:
+            break
+        path, selected = next_path, eliminate_backward(next_path, scales)
+    return selected
 
 
 def select_again(
@@ -394,6 +418,11 @@ def eliminate_backward(path: Sequence[SelectionStep], scales: EffectScales) -> S
         known = {names[-1]: path[-1].gain} if len(path) > 1 and path[-2].fit.has_converged else {}
         tests = {name: assess_effect(fit, name, covariance, scales, known.get(name)) for name in names}
         failed = {name: test.badness for name, test in tests.items() if not test.passes}
+        if not failed:
+            # Beside a free shape two effects may be told apart by nothing but the positions of the nodes.
+            covariance = add_error_of_nodes(covariance, fit)
+            tests = {name: replace(test, wald=square_z(fit.model, name, covariance)) for name, test in tests.items()}
+            failed = {name: test.badness for name, test in tests.items() if not test.passes}
         if not failed:
             return SelectedEffects(fit, covariance, tests, {name: rivals[name] for name in names if name in rivals})
         worst = max(failed, key=lambda name: failed[name])

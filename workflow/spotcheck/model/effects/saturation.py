@@ -110,8 +110,12 @@ EFFECT = Effect(
         Variant.SOFT_WITH_NOISE: (Step(Stage.RESPONSE, limit_softly),),
         Variant.POWER_WITH_NOISE: (Step(Stage.RESPONSE, limit_by_power),),
     },
-    # A limit behind all noise lies at the brightest reading; a fit that starts below it does not find it.
-    starts=lambda scales: [(share * scales.peak_dn, 0.03, 0.02) for share in (0.97, 1.0, 0.8, 0.5)],
+    # A limit behind all noise lies at the brightest reading; a fit that starts below it does not find it. A soft limit
+    # lies above the brightest reading.
+    starts=lambda scales: [
+        *((share * scales.peak_dn, 0.03, 0.02) for share in (0.97, 1.0, 0.8, 0.5)),
+        (1.1 * scales.peak_dn, 0.08, 0.02),
+    ],
     vanishes_at=np.inf,
     hidden_in_flats="",
     instrument_keys=find_instrument_keys,
