@@ -164,8 +164,8 @@ def replace_removed(
 ) -> SelectedEffects:
     """Return a selection in which other effects were sought in place of those that the backward elimination removed.
 
-    A removed effect may have won against the true one, for example if its formula can imitate more of the light's
-    noise. `path` holds the steps before the elimination; other parameters are as in `select_effects`.
+    A removed effect may have won against the true one. `path` holds the steps before the elimination; other parameters
+    are as in `select_effects`.
     """
     while removed := set(path[-1].fit.model.effect_names) - set(selected.tests):
         effects = [effect for effect in effects if effect.name not in removed]
@@ -347,13 +347,14 @@ def is_worth_fitting(refit: Refit, present: JointFit, scales: EffectScales, dema
 
 
 def fit_all_pixels(refit: Refit, thinned: JointFit, present: JointFit, scales: EffectScales) -> FullFit | None:
-    """Return the fit of a refit's model to all pixels; None if it fails, gains too little or has no strength.
+    """Return the fit of a refit's model to all pixels; None if it fails, gains too little or is negligible.
 
-    `thinned` and `present` are fits of the model without the effect, to the thinned and to all pixels.
+    `thinned` and `present` are fits of the model without the effect, to the thinned and to all pixels. The fit ends
+    early if the least drop is out of its reach (`target` of `fit_jointly`).
     """
     candidate, dispersion = refit.candidate, present.pixels.dispersion
     start = transfer_refit(refit.model, thinned.model, present.model)
-    # The least gain is that of an effect with one parameter; each further one must pay its price.
+    # The least drop is that of an effect with one parameter. Values are drops less the price of all parameters.
     least_value = least_drop_of(candidate, present) - PARAMETER_PRICE
     target = present.deviance - (least_value + price_of(candidate)) * dispersion
     fit = fit_jointly(start, present.pixels, iterations=FULL_ITERATIONS, target=target)

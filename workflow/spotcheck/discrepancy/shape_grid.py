@@ -26,7 +26,8 @@ ROUGHNESS_SD, ROUGHNESS_STEP = 0.3, 0.2
 COUPLED = 3
 # Added to the diagonal of the penalty [weight of the penalty]: the penalty alone is 0 for planes.
 RIDGE = 1e-3
-# The same for nodes beyond the circle within the square: the shape must end at 0.
+# Added to the diagonal of the penalty [weight of the penalty] for nodes beyond the circle within the square: the shape
+# must end at 0.
 FIXED_AT_ZERO = 1e7
 # Solution of L x = b, or of L'x = b with trans=1, for a lower triangular matrix L.
 _solve_lower = partial(linalg.solve_triangular, lower=True, check_finite=False)
@@ -72,7 +73,10 @@ class ShapeGrid:
 
     @property
     def is_outer(self) -> np.ndarray:
-        """Whether a node lies beyond the circle within the square, where the shape is 0 [coefficient]."""
+        """Whether a node lies beyond the circle within the square, where the shape is 0 [coefficient].
+
+        The splines of two nodes overlap if they are at most `NEIGHBOURS` steps apart.
+        """
         distance = np.hypot(self.places[:, None], self.places) / self.step
         return (distance > (self.nodes - 1) / 2 - NEIGHBOURS).ravel()
 

@@ -96,7 +96,8 @@ EFFECT = Effect(
     noun="clip",
     parameters=(
         Parameter("level", "DN", lambda scales: 0.02 * scales.peak_dn, lambda scales: 3 * scales.full_scale_dn),
-        Parameter("knee", "1", 0.002, 1.0, is_variant_specific=True),
+        # A wider knee is a bend of the whole response.
+        Parameter("knee", "1", 0.002, 0.25, is_variant_specific=True),
         Parameter("scatter", "1", 0.001, 0.3, is_variant_specific=True),
     ),
     variants={
