@@ -167,13 +167,13 @@ def replace_removed(
     A removed effect may have won against the true one. `path` holds the steps before the elimination; other parameters
     are as in `select_effects`.
     """
-    while removed := set(path[-1].fit.model.effect_names) - set(selected.tests):
-        effects = [effect for effect in effects if effect.name not in removed]
-        next_path = select_forward(selected.fit, effects, scales, update)
-        if next_path is None or len(next_path) == 1:
-            break
-        path, selected = next_path, eliminate_backward(next_path, scales)
-    return selected
+    removed = set(path[-1].fit.model.effect_names) - set(selected.tests)
+    if not removed:
+        return selected
+    others = [effect for effect in effects if effect.name not in removed]
+    path_of_others = select_forward(selected.fit, others, scales, update)
+    assert path_of_others is not None
+    return eliminate_backward(path_of_others, scales) if len(path_of_others) > 1 else selected
 
 
 def select_again(
