@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from spotcheck.discrepancy.frames import FrameParameters, FrameSet
-from spotcheck.discrepancy.laws import LawSearch
-from spotcheck.discrepancy.nested_models import FittedParts, ValidatedChain, build_chain
-from spotcheck.discrepancy.residuals import measure_residuals
-from spotcheck.discrepancy.spot_measurements import measure_spots
+from spotcheck.discrepancy.nested_models import ValidatedChain
 from spotcheck.discrepancy.validation import FrameScatter, NestedModel, Prediction, predict_frames
 from spotcheck.model.conditions import FrameConditions, PixelGrid
 from spotcheck.model.effect import AppliedEffect
@@ -19,9 +16,7 @@ from tests.samples.drawn_frames import Conditions, DrawnCamera, DrawnFrames, Dra
 from tests.samples.models_of_frames import (
     BASELINE,
     DEPARTURES,
-    SCALES,
     SENSOR,
-    fit_drawn,
     fit_law,
     frame_set,
     starting_spots,
@@ -208,16 +203,3 @@ def test_a_prediction_states_the_misfit_in_dn():
     prediction = predict_frames(model, frames, start)
     # Blocks of 33 to 64 pixels whose noise of 1 to 9 DN is taken off on average; few per cent of 0.6 DN are left.
     assert prediction.rms_dn == pytest.approx(0.6, rel=0.2)
-
-
-def test_effects_are_added_from_the_laser_to_the_reading():
-    """The chain adds a pedestal before a clip, whichever was found first: their parts of the gap are definite."""
-    camera, light = DEPARTURES["clip"].camera, DEPARTURES["pedestal"].light
-    drawn = draw_frames(4, lay_out(angles_deg=(0.0,), repeats=2), light, camera)
-    clip, pedestal = DEPARTURES["clip"].start, DEPARTURES["pedestal"].start
-    for found in ((clip, pedestal), (pedestal, clip)):
-        final = fit_drawn(drawn, *found)
-        search = LawSearch(measure_spots(final, None), ForwardModel(BASELINE, SENSOR), SCALES)
-        images = measure_residuals(final.model, frame_set(drawn))
-        chain = build_chain(FittedParts(fit_drawn(drawn), None, final, search, (), (), images))
-        assert [nested.added for nested in chain] == ["", "dark_offset", "saturation"]

@@ -54,12 +54,11 @@ class FittedParts:
 def build_chain(parts: FittedParts) -> list[NestedModel]:
     """Return the models of the chain.
 
-    They are the declared model, the light shape, effects of the mean image from the laser to the reading, laws from the
-    largest gain on, and random effects. The part of the gap that an effect closes depends on those before it. The order
-    of the stages does not change with the noise, as the order in which the effects were found does.
+    They are the declared model, the light shape, effects of the mean image as they were found, laws from the largest
+    gain on, and random effects.
     """
     chain = [NestedModel("", _with_law(parts.declared.model, parts, _fit_law(parts.declared, parts).law))]
-    names = [applied.effect.name for applied in sorted(parts.final.model.forward.effects, key=_first_stage)]
+    names = list(parts.final.model.effect_names)
     if parts.with_shape is not None:
         model = parts.with_shape.model.with_fine_structure(parts.final.model)
         chain.append(NestedModel(LIGHT_SHAPE, _with_law(model, parts, _fit_law(parts.with_shape, parts).law)))
@@ -73,12 +72,6 @@ def build_chain(parts: FittedParts) -> list[NestedModel]:
         fitted = parts.search.fit(by_gain[:count])
         chain.append(NestedModel(added.name, _with_law(parts.final.model, parts, fitted.law, fitted.effects)))
     return _add_scatter(chain, parts)
-
-
-def _first_stage(applied: AppliedEffect) -> int:
-    """Return the position of the first stage at which an effect acts, among all stages."""
-    stages = list(Stage)
-    return min(stages.index(step.stage) for step in applied.effect.variants[applied.variant])
 
 
 def _fit_law(fit: JointFit, parts: FittedParts) -> LawFit:
