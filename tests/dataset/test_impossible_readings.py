@@ -66,6 +66,17 @@ def test_readings_that_no_exposure_gives_are_masked(where, value, black, reason)
     assert (image[impossible.mask | impossible.is_cut] == value).all()
 
 
+LOST = {"rows": np.s_[96:101], "columns": np.s_[:, 120:128], "block": np.s_[90:98, 100:140], "circle": DISTANCE > 26}
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.4, 1.0, 3.0])
+@pytest.mark.parametrize("where", LOST.values(), ids=LOST)
+def test_lost_pixels_below_the_black_level_are_masked_at_any_noise(where, noise):
+    impossible = find_impossible_readings(replaced(where, 0, noise=noise, light=2000 * GAUSSIAN))
+    assert impossible.mask[where].all()
+    assert not impossible.is_cut.any()
+
+
 def test_sound_frames_keep_all_pixels():
     top_hat = np.clip(2000 * (18 - DISTANCE) / 2, 0, 2000)
     sound = {
