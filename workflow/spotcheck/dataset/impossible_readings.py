@@ -94,6 +94,11 @@ class ImpossibleReadings(NamedTuple):
     is_cut: np.ndarray  # True where faint light was cut off at a threshold, [row, column]
     counts: Mapping[str, int]  # number of pixels by reason: one of the sentences of this module
 
+    @property
+    def is_unmeasured(self) -> np.ndarray:
+        """True for all these pixels [row, column]. Widths leave them out: light below a threshold is not 0."""
+        return self.mask | self.is_cut
+
 
 class _Edge(NamedTuple):
     """Edge of a region of one code."""
