@@ -228,7 +228,7 @@ def _flag_outliers(
 def read_measured_crop(crop: xr.Dataset) -> np.ndarray:
     """Return the image [y, x] of one crop in DN, with NaN also where faint light was cut off at a threshold.
 
-    `crop` is one cell and centring of crops.nc. Verdicts use the image itself, in which a dead zone of the camera shows.
+    `crop` is one cell and centring of crops.nc. Verdicts use the image itself, which shows a dead zone of the camera.
     """
     image = crop["image"].values
     return np.where(image == crop["cut_reading"].values, np.nan, image) if "cut_reading" in crop else image
