@@ -19,6 +19,7 @@ from spotcheck.dataset.impossible_readings import (
 )
 from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.io import store
+from spotcheck.quicklook.text_report import list_cautions
 from tests.samples.small_datasets import crops_of, loaded
 
 Y, X = np.mgrid[:200, :260].astype(float)
@@ -162,3 +163,15 @@ def test_a_first_look_leaves_them_out_and_says_so(tmp_path):
         for (width, stderr), tolerance in ((result.fit_widths[0], 4), (result.moment_widths[0], 4)):
             assert abs(width - 36) < tolerance * stderr < 3
         assert any(reason in text for text in spotcheck.look(tmp_path / name).to_dict()["images"][0]["beware"])
+
+
+def test_moments_of_a_spot_with_lost_pixels_are_unknown(tmp_path):
+    tifffile.imwrite(tmp_path / "rows.tif", replaced(np.s_[92:100], 0))
+    tifffile.imwrite(tmp_path / "corner.tif", replaced(np.s_[:30, :50], 0))
+    rows, corner = (spotcheck.look(tmp_path / name).images[0] for name in ("rows.tif", "corner.tif"))
+    assert np.isnan(rows.moment_widths).all()
+    assert abs(rows.fit_widths[0][0] - 36) < 0.5
+    cautions = " ".join(list_cautions(rows))
+    assert "D4σ is unknown: a part of the spot was not measured" in cautions
+    assert "second spot" not in cautions and "flanks" not in cautions
+    assert abs(corner.moment_widths[0][0] - 36) < 1
