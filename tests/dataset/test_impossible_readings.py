@@ -5,6 +5,8 @@ import pytest
 import tifffile
 
 import spotcheck
+from spotcheck.characterization.dataset_sensor import choose_dataset_sensor
+from spotcheck.characterization.sensor_choice import read_sensor_model
 from spotcheck.crops.ingest import ingest_frames
 from spotcheck.dataset import frames
 from spotcheck.dataset.impossible_readings import (
@@ -15,8 +17,10 @@ from spotcheck.dataset.impossible_readings import (
     SEPARATED,
     find_impossible_readings,
 )
+from spotcheck.fitting.crop_fits import fit_crops, select_preferred_fits
 from spotcheck.io import store
-from tests.samples.small_datasets import loaded
+from spotcheck.quicklook.text_report import list_cautions
+from tests.samples.small_datasets import crops_of, loaded
 
 Y, X = np.mgrid[:200, :260].astype(float)
 DISTANCE = np.hypot(X - 128.4, Y - 99.2)
@@ -66,6 +70,17 @@ def test_readings_that_no_exposure_gives_are_masked(where, value, black, reason)
     assert (image[impossible.mask | impossible.is_cut] == value).all()
 
 
+LOST = {"rows": np.s_[96:101], "columns": np.s_[:, 120:128], "block": np.s_[90:98, 100:140], "circle": DISTANCE > 26}
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.4, 1.0, 3.0])
+@pytest.mark.parametrize("where", LOST.values(), ids=LOST)
+def test_lost_pixels_below_the_black_level_are_masked_at_any_noise(where, noise):
+    impossible = find_impossible_readings(replaced(where, 0, noise=noise, light=2000 * GAUSSIAN))
+    assert impossible.mask[where].all()
+    assert not impossible.is_cut.any()
+
+
 def test_sound_frames_keep_all_pixels():
     top_hat = np.clip(2000 * (18 - DISTANCE) / 2, 0, 2000)
     sound = {
@@ -102,12 +117,39 @@ def test_a_dataset_masks_them_in_frames_of_every_kind_and_says_so(tmp_path):
     assert table["minimum"].values.min() > 40
 
 
+@pytest.mark.parametrize(("threshold", "black"), [(75, 60), (12, 0)])
+def test_fits_leave_out_what_a_threshold_cut_off_and_say_so(tmp_path, threshold, black):
+    images = [frame(seed, black=black, noise=1.2) for seed in range(2)]
+    images = [np.where(image < threshold, 0, image).astype(np.uint16) for image in images]
+    sensor = f"{{bit_depth: 12, gain_dn_per_e: {GAIN}, read_noise_e: 4, black_level_dn: {black}}}"
+    found = loaded(tmp_path, images, f"crop_px: 120\nsensor: {sensor}\n")
+    crops = crops_of(found)
+    sheet = choose_dataset_sensor(found, crops, ingest_frames(found), {})
+    # The frames do not contradict the stated black level, though most pixels read 0.
+    assert float(sheet["black_level_dn"]) == black
+    assert not any("black_level" in remark for remark in store.remarks_of(sheet))
+    fits = select_preferred_fits(fit_crops(crops, read_sensor_model(sheet)))
+    assert set(store.status_names(fits["status"].values.ravel())) == {"cut_off"}
+    assert (abs(fits["sigma_mean"] - 9) < 0.25).all()
+    assert (fits["chi2_reduced"] < 1.2).all()
+
+
 def test_a_dataset_keeps_what_a_threshold_cut_off(tmp_path):
     """The verdict recognises a camera's dead zone by it; the remark stands in the results all the same."""
     images = [np.where(frame(seed) < 75, 0, frame(seed)).astype(np.uint16) for seed in range(2)]
     found = loaded(tmp_path, images, "crop_px: 120\nsensor: {bit_depth: 12}\n")
     assert not any(np.isnan(frames.read_masked_image(found, spot).astype(float)).any() for spot in found.spots)
     assert [CUT in remark for remark in store.remarks_of(ingest_frames(found))] == [True]
+
+
+def test_an_empty_frame_does_not_change_the_black_level(tmp_path):
+    """All its pixels read 0; neither a dataset nor a first look estimates anything from it."""
+    images = [frame(seed) for seed in range(4)]
+    images[2][:] = 0
+    found = loaded(tmp_path, images, "crop_px: 120\nsensor: {bit_depth: 12}\n")
+    sheet = choose_dataset_sensor(found, crops_of(found), ingest_frames(found), {})
+    assert abs(float(sheet["black_level_dn"]) - 60) < 0.5
+    assert abs(spotcheck.look(tmp_path / "frames").cameras[0].black_level_dn - 60) < 1
 
 
 def test_a_first_look_leaves_them_out_and_says_so(tmp_path):
@@ -121,3 +163,15 @@ def test_a_first_look_leaves_them_out_and_says_so(tmp_path):
         for (width, stderr), tolerance in ((result.fit_widths[0], 4), (result.moment_widths[0], 4)):
             assert abs(width - 36) < tolerance * stderr < 3
         assert any(reason in text for text in spotcheck.look(tmp_path / name).to_dict()["images"][0]["beware"])
+
+
+def test_moments_of_a_spot_with_lost_pixels_are_unknown(tmp_path):
+    tifffile.imwrite(tmp_path / "rows.tif", replaced(np.s_[92:100], 0))
+    tifffile.imwrite(tmp_path / "corner.tif", replaced(np.s_[:30, :50], 0))
+    rows, corner = (spotcheck.look(tmp_path / name).images[0] for name in ("rows.tif", "corner.tif"))
+    assert np.isnan(rows.moment_widths).all()
+    assert abs(rows.fit_widths[0][0] - 36) < 0.5
+    cautions = " ".join(list_cautions(rows))
+    assert "D4σ is unknown: a part of the spot was not measured" in cautions
+    assert "second spot" not in cautions and "flanks" not in cautions
+    assert abs(corner.moment_widths[0][0] - 36) < 1

@@ -29,6 +29,16 @@ class DarkLevels(NamedTuple):
 NO_DARKS = DarkLevels()
 
 
+class _Summary(NamedTuple):
+    """Summary of a reduced frame."""
+
+    # Medians of the block, row and column means [DN]. The lowest one is the level of the frame beside its spot: a spot
+    # and hot pixels hardly change it.
+    medians: Sequence[float]
+    mean: float  # mean reading [DN]
+    is_uniform: bool  # whether all pixels have the same reading
+
+
 def select_dark_levels(
     darks: Iterable[ReducedFrame], spots: Iterable[ReducedFrame], full_scale_dn: float
 ) -> DarkLevels:
@@ -43,8 +53,8 @@ def select_dark_levels(
     darks, spots : means of blocks, rows and columns [DN] of each dark frame and of each frame with a spot.
     full_scale_dn : largest reading of the converter [DN].
     """
-    levels_and_means = [(min(_list_medians(frame)), float(np.nanmean(frame.row_mean))) for frame in darks]
-    spot_medians = [_list_medians(frame) for frame in spots]
+    levels_and_means = [(min(frame.medians), frame.mean) for frame in _summarize_frames(darks)]
+    spot_medians = [frame.medians for frame in _summarize_frames(spots)]
     all_levels = [level for level, _ in levels_and_means] + [min(medians) for medians in spot_medians]
     darkest_dn = min(all_levels, default=np.nan)
     # Light in the dark frames shows that the room was lit, so that the dark pixels of the spots are not black either.
@@ -63,18 +73,26 @@ def select_dark_levels(
     return DarkLevels(unlit_levels, remark, darkest_dn, dark_pixels)
 
 
-def _list_medians(frame: ReducedFrame) -> list[float]:
-    """Return the medians of the block, row and column means of a frame [DN]; NaN means do not count.
+def _summarize_frames(frames: Iterable[ReducedFrame]) -> list[_Summary]:
+    """Return the summaries of frames, without those that hold no measurement.
 
-    The lowest one is the level of the frame beside its spot: a spot and hot pixels hardly change it.
+    A frame with one reading in all pixels, such as that of an empty page, holds none, unless all frames are alike.
     """
-    return [float(np.nanmedian(values)) for values in frame]
+    summaries = []
+    for frame in frames:
+        finite_means = [values[np.isfinite(values)] for values in frame]
+        if any(values.size == 0 for values in finite_means):
+            continue
+        is_uniform = len({float(level) for values in finite_means for level in (values.min(), values.max())}) == 1
+        medians = [float(np.median(values)) for values in finite_means]
+        summaries.append(_Summary(medians, float(np.nanmean(frame.row_mean)), is_uniform))
+    return [summary for summary in summaries if not summary.is_uniform] or summaries
 
 
 def _estimate_dark_pixel_level(medians: Sequence[Sequence[float]]) -> tuple[float, float]:
     """Return the level of the dark pixels of spot frames and its standard error [DN]; NaN without frames.
 
-    `medians` [frame, kind of mean] are those of `_list_medians`. The level is the lowest one, as light only adds. Its
+    `medians` [frame, kind of mean] are those of `_Summary`. The level is the lowest one, as light only adds. Its
     error contains the differences between the kinds of means, which light of the spot raises differently, and the
     scatter of the frames, which stray light raises differently.
     """

@@ -14,7 +14,7 @@ from spotcheck.characterization.dark_frames import select_dark_levels
 from spotcheck.characterization.emva_quantities import Quantity
 from spotcheck.characterization.frame_pairs import iterate_pairs
 from spotcheck.characterization.sensor_choice import choose_sensor_values
-from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.crops.cropping import is_usable, iterate_cells, read_measured_crop
 from spotcheck.crops.ingest import read_full_scale
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
@@ -41,7 +41,7 @@ def choose_dataset_sensor(
     """
     light_crops, grid_dims = crops.sel(centring="light"), store.grid_dims(crops)
     spot_images = (
-        light_crops["image"].isel(cell).values
+        read_measured_crop(light_crops.isel(cell))
         for cell in iterate_cells(light_crops, grid_dims)
         if is_usable(light_crops["status"].isel(cell))
     )
@@ -57,7 +57,8 @@ def choose_dataset_sensor(
         for cell in iterate_cells(crops, grid_dims)
     )
     darks = select_dark_levels(reduced_darks, reduced_spots, float(table["full_scale"]))
-    is_spot = table["kind"].values == "spot"
+    # Spot frames with more than one reading: empty ones tell nothing of the converter's zero.
+    is_spot = (table["kind"].values == "spot") & (table["minimum"].values < table["maximum"].values)
     zeros = table["at_zero"].values[is_spot] / float(table["rows"] * table["columns"])
     if np.any(zeros > MAX_ZEROS):
         darks = darks._replace(dark_pixels=(np.nan, np.nan))

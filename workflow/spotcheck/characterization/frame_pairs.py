@@ -17,7 +17,7 @@ import xarray as xr
 from scipy.ndimage import minimum_filter, uniform_filter
 
 from spotcheck.characterization.noise_curve import BIN_ERROR, CUT_AT_SD, MIN_COUNT, NoiseCurve
-from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.crops.cropping import is_usable, iterate_cells, read_measured_crop
 from spotcheck.io import store
 
 # Side of a block [px].
@@ -92,7 +92,7 @@ def iterate_pairs(images: xr.Dataset, axis: str) -> Iterator[tuple[np.ndarray, n
         for first_index, second_index in zip(usable_indices[1::2], usable_indices[::2], strict=False):
             first, second = line.isel({axis: first_index}), line.isel({axis: second_index})
             down, right = (int(second[name]) - int(first[name]) for name in ("top", "left"))
-            yield align_images(first["image"].values, second["image"].values, down, right)
+            yield align_images(read_measured_crop(first), read_measured_crop(second), down, right)
 
 
 def align_images(first: np.ndarray, second: np.ndarray, down: int, right: int) -> tuple[np.ndarray, np.ndarray]:

@@ -37,6 +37,7 @@ VARIABLES = {
     "top": store.Variable(("centring",), "i4", "pixel", "row of the frame under row 0 of the crop"),
     "left": store.Variable(("centring",), "i4", "pixel", "column of the frame under column 0 of the crop"),
     "status": store.Variable(("centring",), "i4", "1", "status flags"),
+    "cut_reading": store.Variable((), "f4", "DN", "reading of pixels whose faint light was cut off; NaN if none was"),
     "block_mean": store.Variable(("block_y", "block_x"), "f4", "DN", "mean of each block of the frame"),
     "row_mean": store.Variable(("row",), "f4", "DN", "mean of each row of the frame"),
     "column_mean": store.Variable(("column",), "f4", "DN", "mean of each column of the frame"),
@@ -81,7 +82,8 @@ def crop_spots(dataset: Dataset, table: xr.Dataset, path: Path, *, code: str, in
                 raise InputError(f"{frame.label}: not in frames.nc; run ingest again")
             flags = store.flag("copy") if is_copy[frame.file, frame.page] else 0
             flags |= store.flag("dropped") if frame.keep is False else 0
-            values = _process_frame(frames.read_masked_image(dataset, frame), side, full_scale, flags)
+            pixels, impossible_readings = frames.read_checked_image(dataset, frame)
+            values = _process_frame(pixels, impossible_readings.is_cut, side, full_scale, flags)
             writer.put(index, values)
             indices.append(index)
             statuses.append(values["status"])
@@ -129,17 +131,22 @@ def _crop_coordinates(dataset: Dataset, shape: tuple[int, int]) -> xr.Dataset:
     return coordinates
 
 
-def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int) -> dict[str, Any]:
+def _process_frame(pixels: np.ndarray, is_cut: np.ndarray, side: int, full_scale: float, flags: int) -> dict[str, Any]:
     """Return the values of `VARIABLES` by name for one frame [row, column] in DN, NaN at bad pixels.
 
-    `side` is that of the crop [px], and `full_scale` the largest reading [DN]. `flags` are bits that are set in the
-    status of both crops, beside those that the pixels give.
+    `is_cut` is True for pixels whose faint light was cut off [row, column]. `side` is that of the crop [px], and
+    `full_scale` the largest reading [DN]. `flags` are bits that are set in the status of both crops, beside those that
+    the pixels give.
     """
     # In the order of `CENTRINGS`.
     spots = (spotfinding.find_light_centroid(pixels, side), spotfinding.find_brightest_pixel(pixels))
     images = np.stack([spotfinding.cut_crop(pixels, spot, side) for spot in spots])
     # The fields of `ReducedFrame` are the variables block_mean, row_mean and column_mean.
-    reduced_frame, extremes = frames.reduce_frame(pixels), measure_extremes(frames.select_good_readings(pixels))
+    reduced_frame = frames.reduce_frame(frames.mask_readings(pixels, is_cut))
+    extremes = measure_extremes(frames.select_good_readings(pixels))
+    # All cut pixels of a frame have the same reading.
+    cut_reading = float(pixels[is_cut][0]) if is_cut.any() else np.nan
+    flags |= store.flag("cut_off") if is_cut.any() else 0
     # Readings clip at full scale, or at a plateau below it: many pixels with exactly the highest reading.
     clip = float(extremes.highest) if extremes.has_plateau() else full_scale
     tops, lefts = [spot.row - side // 2 for spot in spots], [spot.column - side // 2 for spot in spots]
@@ -149,7 +156,8 @@ def _process_frame(pixels: np.ndarray, side: int, full_scale: float, flags: int)
         # A crop is masked where it reaches beyond the frame.
         masked_flag = 0 if is_inside else store.flag("masked")
         statuses.append(flags | masked_flag | _flag_readings(image, spots[AT_LIGHT].exists, full_scale, clip))
-    return {"image": images, "top": tops, "left": lefts, "status": statuses} | reduced_frame._asdict()
+    crops = {"image": images, "top": tops, "left": lefts, "status": statuses, "cut_reading": cut_reading}
+    return crops | reduced_frame._asdict()
 
 
 def _flag_readings(image: np.ndarray, has_spot: bool, full_scale: float, clip: float) -> int:
@@ -215,6 +223,15 @@ def _flag_outliers(
             more = [f"{len(labels) - MAX_NAMED} more"] if len(labels) > MAX_NAMED else []
             remarks.append(f"{len(labels)} frames are {fate} ({', '.join([*labels[:MAX_NAMED], *more])})")
     return statuses, remarks
+
+
+def read_measured_crop(crop: xr.Dataset) -> np.ndarray:
+    """Return the image [y, x] of one crop in DN, with NaN also where faint light was cut off at a threshold.
+
+    `crop` is one cell and centring of crops.nc. Verdicts use the image itself, which shows a dead zone of the camera.
+    """
+    image = crop["image"].values
+    return np.where(image == crop["cut_reading"].values, np.nan, image) if "cut_reading" in crop else image
 
 
 def is_usable(status: int | np.ndarray | xr.DataArray) -> bool:

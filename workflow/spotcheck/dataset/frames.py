@@ -294,7 +294,8 @@ def read_checked_image(dataset: Dataset, frame: Frame) -> tuple[np.ndarray, Impo
     """Return the pixels of a frame as `read_masked_image` does, and its impossible readings.
 
     Readings that were cut off at a threshold (`ImpossibleReadings.is_cut`) do not become NaN. If the camera has a dead
-    zone, all its frames have such readings, and the verdict detects the dead zone by them.
+    zone, all its frames have such readings, and the verdict detects the dead zone by them. `read_measured_image` and
+    the fits mask them.
     """
     pixels = read_image(dataset, frame)
     rows, columns = pixels.shape
@@ -302,9 +303,18 @@ def read_checked_image(dataset: Dataset, frame: Frame) -> tuple[np.ndarray, Impo
     is_bad = build_bad_pixel_mask(instrument.bad_pixels, (rows, columns), get_colour(instrument))
     impossible = find_impossible_readings(pixels, is_bad)
     is_masked = impossible.mask if is_bad is None else impossible.mask | is_bad
-    if is_masked.any():
-        pixels = np.where(is_masked, np.float32(np.nan), pixels.astype(np.float32))
-    return pixels, impossible
+    return mask_readings(pixels, is_masked), impossible
+
+
+def read_measured_image(dataset: Dataset, frame: Frame) -> np.ndarray:
+    """Return the pixels of a frame as `read_masked_image` does, with NaN also where faint light was cut off."""
+    pixels, impossible = read_checked_image(dataset, frame)
+    return mask_readings(pixels, impossible.is_cut)
+
+
+def mask_readings(pixels: np.ndarray, is_masked: np.ndarray) -> np.ndarray:
+    """Return pixels [row, column] with NaN where `is_masked`, as float32; unchanged if no pixel is masked."""
+    return np.where(is_masked, np.float32(np.nan), pixels.astype(np.float32)) if is_masked.any() else pixels
 
 
 def select_good_readings(pixels: np.ndarray) -> np.ndarray:

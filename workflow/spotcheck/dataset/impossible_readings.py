@@ -30,9 +30,14 @@ MIN_EXPECTED_PX = 25
 MIN_EXTENT, BRIGHTEST_PART, MIN_WIDE_CODES = 3, 1e-3, 20
 # Least connected pixels at the lowest code. Fewer are dead pixels, which the masks of bad and outlier pixels treat.
 MIN_CONNECTED_PX = 16
-# Readings were cut at a threshold if, of this number of pixels or more, the darkest twentieth extends at most so many
-# times as far as the next one. Noise ends in a tail: of 100 normal numbers it extends 3 times as far, of 1000 4 times.
-MIN_EDGE_PX, MAX_TAIL = 100, 2.0
+# Readings were cut at a threshold if the histogram above it begins with an edge: the darkest `EDGE_PX` pixels or more,
+# of at least `MIN_EDGE_PX`, span some codes, and the next codes, as many, hold at most `MAX_RISE` times their number.
+# Smooth light has no more pixels there, and so many by chance less than once in 1e4. A tail of noise rises 4 times or
+# more; noise on light with a sharp edge 2.8 times.
+EDGE_PX, MIN_EDGE_PX, MAX_RISE = 30, 200, 2.0
+# A larger part of the pixels at the lowest codes is a background with less noise than a step, and no edge: light above
+# a threshold of 5 codes has 14 % of its pixels or less at the next code.
+MAX_EDGE_PART = 0.25
 # Least jump of readings that counts as an edge [steps].
 MIN_JUMP_STEPS = 8
 # A constant row or column was not measured if the lines on both sides jump from it at this number of the same places,
@@ -88,6 +93,11 @@ class ImpossibleReadings(NamedTuple):
     mask: np.ndarray  # True where a pixel was not measured, apart from the following ones, [row, column]
     is_cut: np.ndarray  # True where faint light was cut off at a threshold, [row, column]
     counts: Mapping[str, int]  # number of pixels by reason: one of the sentences of this module
+
+    @property
+    def is_unmeasured(self) -> np.ndarray:
+        """True for all these pixels [row, column]. Widths leave them out: light below a threshold is not 0."""
+        return self.mask | self.is_cut
 
 
 class _Edge(NamedTuple):
@@ -214,18 +224,22 @@ def _find_separated_code(pixels: np.ndarray, is_good: np.ndarray) -> tuple[str, 
     labels, _ = ndimage.label(is_lowest, EIGHT_NEIGHBOURS)
     if np.bincount(labels.ravel())[1:].max() < MIN_CONNECTED_PX:
         return none
-    return (CUT if _ends_in_edge(counts[gap:]) else SEPARATED), is_lowest
+    return (CUT if _ends_in_edge(counts[gap:], step) else SEPARATED), is_lowest
 
 
-def _ends_in_edge(counts: np.ndarray) -> bool:
-    """Return whether a histogram `counts` [code] begins with an edge, as at a threshold, and not with a tail of noise.
+def _ends_in_edge(counts: np.ndarray, step: int) -> bool:
+    """Return whether a histogram begins with an edge, as at a threshold, and not with a tail of noise or a background.
 
-    Its first code is the lowest reading.
+    `counts` are pixels [code] from the lowest reading on, and `step` is the distance of neighbouring codes [DN].
     """
-    share = np.cumsum(counts) / counts.sum()
-    first, second = np.searchsorted(share, (0.05, 0.1)).tolist()
-    # Codes are whole numbers: half of one is added to both extents.
-    return counts.sum() >= MIN_EDGE_PX and first + 0.5 <= MAX_TAIL * (second - first + 0.5)
+    # Pixels up to each step.
+    below = np.cumsum(np.add.reduceat(counts, np.arange(0, len(counts), step)))
+    total = int(below[-1])
+    if total < MIN_EDGE_PX:
+        return False
+    width = int(np.searchsorted(below, EDGE_PX)) + 1
+    lowest, next_ones = below[width - 1], below[min(2 * width, len(below)) - 1] - below[width - 1]
+    return bool(lowest <= MAX_EDGE_PART * total and next_ones <= MAX_RISE * lowest)
 
 
 def _find_constant_rows(pixels: np.ndarray, is_good: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ RESERVED = {
     *"x_centre y_centre sigma_major sigma_minor orientation offset sigma_mean chi2_reduced p1 p2 peak".split(),
     *"laser_width likelihood_converged mean_light sigma maximum sum speckle_contrast peak_ratio psnr law".split(),
     *"fine_exposure photons axis power other_power coefficient origin scatter mean_reading azimuth".split(),
-    "psnr_repeats",
+    *"psnr_repeats cut_reading".split(),
 }
 
 

@@ -16,6 +16,10 @@ TOLERANCE = 0.002
 # [standard errors] Limit beyond which a difference is reported: what remains over the tolerance, a value against the
 # data sheet, p1 and p2 under both models, and the power of a learned light shape that lies elsewhere than declared.
 CLEAR_ERRORS = 3.0
+# [gap] Largest gap on held-out frames, in parts of its expectation, of a model without effects that agrees with the
+# frames; and largest gap of a held-out frame, in parts of the largest one of the searched frames, without a remark.
+# Sums over 8 × 8 px then deviate by 3 times their noise. Sound frames stay below 1.5.
+LARGEST_GAP = 10.0
 
 # Effects
 

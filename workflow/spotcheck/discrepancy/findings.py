@@ -235,3 +235,4 @@ class Findings:
     not_assessed: tuple[tuple[str, str], ...] = ()  # (name, reason) of effects that the design cannot show
     levels: LevelFindings | None = None  # results from levels of flats; None for spot frames
     remarks: tuple[str, ...] = ()  # sentences on the data for the reader of the verdict
+    deviating_frames: str = ""  # clause on held-out frames far from the model; "" if there are none

@@ -15,6 +15,7 @@ import xarray as xr
 from spotcheck.dataset.folder import Dataset
 from spotcheck.discrepancy.analysis import Analysis, analyse_frames
 from spotcheck.discrepancy.conclude import conclude
+from spotcheck.discrepancy.deviating_frames import describe_deviating_frames
 from spotcheck.discrepancy.extended_model import FinalModel, build_extended_model, fit_final_model
 from spotcheck.discrepancy.findings import Findings
 from spotcheck.discrepancy.learned_light import summarize_shape
@@ -75,7 +76,9 @@ def judge_spots(dataset: Dataset, crops: xr.Dataset, sensor: xr.Dataset, fits: x
         vocabulary = list(effects.vocabulary().values())
         analysis = analyse_frames(ready.frames, ready.spots, ready.setting, vocabulary)
         findings = conclude(analysis, vocabulary, ready.remarks)
-        return Judgement(findings, ready, analysis, fit_final_model(analysis, _select_reliable(findings), ready.frames))
+        final = fit_final_model(analysis, _select_reliable(findings), ready.frames)
+        findings = replace(findings, deviating_frames=describe_deviating_frames(analysis, final, ready))
+        return Judgement(findings, ready, analysis, final)
 
 
 def write_model_files(dataset: Dataset, judgement: Judgement, status: str, alpha: float, files: ModelFiles) -> None:

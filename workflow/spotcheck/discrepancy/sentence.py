@@ -109,14 +109,31 @@ def _describe_disagreement(document: Mapping[str, Any]) -> str:
         sides = f"Otherwise, {lower_sides}" if follows_contradiction else wording.sides
         return f"{sides} agree within the noise{p_in_brackets}."
     if not is_significant:
-        exception = "tests of single effects do" if document["effects"] else "the residual exceeds the tolerance"
-        return f"The overall test finds no disagreement{p_in_brackets}, but {exception}."
+        return f"The overall test finds no disagreement{p_in_brackets}, but {describe_exception(document)}."
     if percent is None:
         return f"{wording.sides} disagree{p_in_brackets}."
     if percent < 100 * document["unexplained"]["tolerance"]:
         return f"{wording.sides} disagree, but hardly in {wording.image}{p_in_brackets}."
     p_behind_comma = f", {p_text}" if p_text else ""
     return f"{wording.sides} disagree by {percent_text(percent / 100)} of {wording.peak} (rms{p_behind_comma})."
+
+
+def describe_exception(document: Mapping[str, Any]) -> str:
+    """Return what disagrees with the model though the overall test does not, as a clause."""
+    if document["effects"]:
+        return "tests of single effects do"
+    row = document["unexplained"]
+    if row["size"] is not None and _find_least_square(row) > row["tolerance"] ** 2:
+        return "the residual exceeds the tolerance"
+    return f"{document['gap']['on'] or 'held-out repeats'} are far from the model"
+
+
+def _find_least_square(row: Mapping[str, Any]) -> float:
+    """Return the lower bound of the square of the unexplained residual [peak²]; `row` is the key `unexplained`.
+
+    The error is estimated for the square of the size: (size + error)² − size² is one standard error of it.
+    """
+    return row["size"] ** 2 - CLEAR_ERRORS * ((row["size"] + (row["error"] or 0.0)) ** 2 - row["size"] ** 2)
 
 
 def _reasons(document: Mapping[str, Any]) -> list[str]:
@@ -250,11 +267,11 @@ def _say_remainder(document: Mapping[str, Any]) -> str:
     row, peak = document["unexplained"], _wording_of(document).short_peak
     if row["size"] is None:
         return ""
-    # The error is estimated for the square of the size: (size + error)² − size² is one standard error of it.
-    allowance = CLEAR_ERRORS * ((row["size"] + (row["error"] or 0.0)) ** 2 - row["size"] ** 2)
-    if row["size"] ** 2 - allowance > row["tolerance"] ** 2:
+    least_square = _find_least_square(row)
+    if least_square > row["tolerance"] ** 2:
         return f"{percent_text(row['size'])} of {peak} remains unexplained"
-    bound = max(float(np.sqrt(row["size"] ** 2 + allowance)), row["tolerance"])
+    # The upper bound of the square is as far above it as the lower one is below.
+    bound = max(float(np.sqrt(2 * row["size"] ** 2 - least_square)), row["tolerance"])
     return f"less than {percent_text(bound)} of {peak} remains"
 
 

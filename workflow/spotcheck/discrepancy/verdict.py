@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from spotcheck.discrepancy.criteria import ALPHA, CLEAR_ERRORS, TOLERANCE
+from spotcheck.discrepancy.criteria import ALPHA, CLEAR_ERRORS, LARGEST_GAP, TOLERANCE
 from spotcheck.discrepancy.findings import (
     Detection,
     Findings,
@@ -71,7 +71,7 @@ def compose_verdict(
     reason = findings.reason or {Status.NOT_ASSESSED: NO_TEST, Status.NOT_CONVERGED: NOT_CONVERGED}.get(status, "")
     if reason:
         findings = drop_fitted_values(findings)
-    general_rows = [("all", why) for why in (reason, *findings.remarks) if why]
+    general_rows = [("all", why) for why in (reason, *findings.remarks, findings.deviating_frames) if why]
     effects = ([effect_of_light(findings.light)] if findings.light else []) + list(findings.effects)
     document = {
         "schema": VERSION,
@@ -114,10 +114,16 @@ def find_status(findings: Findings, alpha: float = ALPHA, tolerance: float = TOL
     is_exceeded = exceeds_tolerance(findings.unexplained, tolerance)
     if not has_effects:
         is_detected = findings.detection is not None and findings.detection.p_value < alpha
-        return Status.UNKNOWN if is_detected or is_exceeded else Status.CONSISTENT
+        return Status.UNKNOWN if is_detected or is_exceeded or deviates_on_held_out(findings) else Status.CONSISTENT
     if any(effect.rivals for effect in findings.effects):
         return Status.AMBIGUOUS
     return Status.NAMED_MORE_REMAINS if is_exceeded else Status.NAMED
+
+
+def deviates_on_held_out(findings: Findings) -> bool:
+    """Return whether held-out data are far from the model, which detection does not test them against."""
+    gap = findings.gap
+    return bool(findings.deviating_frames) or (gap is not None and gap.after > LARGEST_GAP * gap.noise_floor)
 
 
 def exceeds_tolerance(unexplained: Unexplained | None, tolerance: float) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.characterization.outlier_pixels import find_outlier_pixels
-from spotcheck.crops.cropping import iterate_cells
+from spotcheck.crops.cropping import iterate_cells, read_measured_crop
 from spotcheck.dataset.instrument import BadPixels
 from spotcheck.io import store
 from spotcheck.sensor import SensorModel
@@ -46,7 +46,7 @@ def find_bad_pixels(fits: xr.Dataset, crops: xr.Dataset, sensor: SensorModel) ->
         crop = centred.isel(index)
         left, top = int(crop["left"]), int(crop["top"])
         corners.append((left, top))
-        outlying = find_outlier_pixels(crop["image"].values, sensor)
+        outlying = find_outlier_pixels(read_measured_crop(crop), sensor)
         columns.update(left + x for x in outlying.columns)
         rows.update(top + y for y in outlying.rows)
         pixels.update((left + x, top + y) for y, x in outlying.pixels)

@@ -13,7 +13,7 @@ import xarray as xr
 
 from spotcheck.characterization.outlier_pixels import OutlierPixels, find_outlier_pixels
 from spotcheck.characterization.pixel_maps import SensorMaps
-from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.crops.cropping import is_usable, iterate_cells, read_measured_crop
 from spotcheck.fitting.fit_results import NAMES, PARAMETERS, SpotFits, add_parameters
 from spotcheck.fitting.map_comparison import add_map_comparison, compute_shifts, cut_maps
 from spotcheck.fitting.spotfit import fit_spots
@@ -90,7 +90,7 @@ def fit_crops(
         cell = tuple(index.values())
         if not is_usable(crops["status"].values[cell]):
             continue
-        image = crops["image"].isel(index).values
+        image = read_measured_crop(crops.isel(index))
         pixel_maps = None if maps is None else cut_maps(maps, crops, index)
         fits, outliers = _fit_both(image, sensor, partial(by_likelihood, maps=pixel_maps), by_least_squares)
         if maps is not None:

@@ -46,6 +46,9 @@ SMALLEST_SIDE = 4
 MAX_RELATIVE_ERROR = 0.5
 # Fraction of the area of integration that a frame must contain for the width of the standard.
 WHOLE_AREA = 0.9
+# Largest part of the light that may fall on pixels that were not measured. Without it D4σ changes by at most 0.5 % if
+# these pixels are within 3 σ of the centre.
+MAX_LOST_LIGHT = 1e-3
 # Largest distance [px] at which a pixel replaces one that was not measured.
 FILL_DISTANCE = 2
 # The axes differ significantly from each other by so many standard errors.
@@ -73,13 +76,20 @@ class Moments:
     background: float  # reading beside the spot [DN]
     background_stderr: float  # standard error of `background` [DN]
     area_fraction: float  # fraction of the area of integration within the frame
+    lost_light: float  # part of the light, by a Gaussian of these moments, that fell on pixels that were not measured
     has_converged: bool  # whether the area of integration stopped changing, within the errors of the widths
 
     @property
     def is_measured(self) -> bool:
-        """Whether the relative errors of both widths are below `MAX_RELATIVE_ERROR`."""
+        """Whether the light was measured, and relative errors of both widths are below `MAX_RELATIVE_ERROR`."""
         limit = MAX_RELATIVE_ERROR
-        return bool(self.major_stderr < limit * self.major and self.minor_stderr < limit * self.minor)
+        has_small_errors = self.major_stderr < limit * self.major and self.minor_stderr < limit * self.minor
+        return bool(has_small_errors and not self.has_lost_light)
+
+    @property
+    def has_lost_light(self) -> bool:
+        """Whether more light than `MAX_LOST_LIGHT` fell on pixels that were not measured."""
+        return bool(self.lost_light > MAX_LOST_LIGHT)
 
     @property
     def mean_width(self) -> tuple[float, float]:
@@ -92,7 +102,7 @@ class Moments:
         return self.area_fraction >= WHOLE_AREA
 
 
-NO_MOMENTS = Moments(*(np.nan,) * 14, has_converged=False)
+NO_MOMENTS = Moments(*(np.nan,) * 15, has_converged=False)
 
 
 class _Ellipse(NamedTuple):
@@ -322,8 +332,19 @@ def _describe_spot(pixels: np.ndarray, is_unmeasured: np.ndarray, ellipse: _Elli
         background=background,
         background_stderr=background_stderr,
         area_fraction=min(1.0, measured_pixels / float(np.prod(AREA * widths))),
+        lost_light=_estimate_lost_light(is_unmeasured, ellipse),
         has_converged=bool(change < tolerance),
     )
+
+
+def _estimate_lost_light(is_unmeasured: np.ndarray, ellipse: _Ellipse) -> float:
+    """Return the part of a Gaussian of the moments of `ellipse` in the pixels that `is_unmeasured` [row, column]."""
+    rows, columns = np.nonzero(is_unmeasured)
+    if not rows.size:
+        return 0.0
+    distance = np.stack([columns - ellipse.x, rows - ellipse.y])
+    squares = np.sum(distance * np.linalg.solve(ellipse.covariance, distance), axis=0)
+    return float(np.exp(-squares / 2).sum() / (2 * np.pi * np.sqrt(np.linalg.det(ellipse.covariance))))
 
 
 def _estimate_noise_variance(window: np.ndarray) -> np.ndarray:

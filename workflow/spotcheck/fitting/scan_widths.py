@@ -60,7 +60,7 @@ def measure_scan_moments(dataset: Dataset, fits: xr.Dataset) -> dict[tuple[int, 
     status = select_preferred_fits(fits)["status"].values
     cells = [(index, frame) for index, frame in dataset.cells() if is_usable(status[index])]
     return {
-        index: second_moments(frames.read_masked_image(dataset, frame))
+        index: second_moments(frames.read_measured_image(dataset, frame))
         for index, frame in progress.track(cells, "measuring second moments")
     }
 

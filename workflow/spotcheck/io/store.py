@@ -40,6 +40,7 @@ STATUS = {
     8192: ("moved", "the spot is not where its siblings have theirs"),
     16384: ("double", "exposed twice, or two spots in one frame"),
     32768: ("dropped", "left out by hand (keep = no in manifest.csv)"),
+    65536: ("cut_off", "faint light was cut off at a threshold: widths are uncertain"),
 }
 # Flags of automatic exclusion, which `keep = yes` in manifest.csv clears: black, saturated, blocked, moved, double.
 CLEARED_BY_KEEP = 2 | 4 | 4096 | 8192 | 16384

@@ -73,6 +73,7 @@ def estimate_camera(images: Sequence[Image]) -> Camera:
     InputError
         If an image has no finite reading.
     """
+    names, images = tuple(image.name for image in images), _select_measured(images)
     clip_levels = (find_clip_level(image.read(), image.bits) for image in images)
     # A camera clips at one level; a lower plateau is part of the light.
     clip_level = max((level for level in clip_levels if np.isfinite(level)), default=np.inf)
@@ -84,10 +85,18 @@ def estimate_camera(images: Sequence[Image]) -> Camera:
         scaled_gain = quantities["gain_dn_per_e"]
         gain = scaled_gain._replace(value=step_dn * scaled_gain.value, stderr=step_dn * scaled_gain.stderr)
     return Camera(
-        images=tuple(image.name for image in images), gain=gain, read_noise=quantities.get("read_noise_e"),
+        images=names, gain=gain, read_noise=quantities.get("read_noise_e"),
         method=estimate.method or UNKNOWN_GAIN, black_level_dn=step_dn * estimate.lowest_zero_level_dn,
         clip_level_dn=clip_level, step_dn=step_dn,
     )  # fmt: skip
+
+
+def _select_measured(images: Sequence[Image]) -> Sequence[Image]:
+    """Return the images whose pixels differ; all if none has such pixels.
+
+    An image of one reading, such as an empty page of a stack, holds no measurement.
+    """
+    return [image for image in images if np.nanmin(pixels := image.read()) < np.nanmax(pixels)] or images
 
 
 def find_clip_level(pixels: np.ndarray, bits: int | None) -> float:

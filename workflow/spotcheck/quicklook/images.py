@@ -57,7 +57,7 @@ class Image:
         if not is_finite.any():
             raise InputError(f"{self.name}: has no pixel that was measured; leave it out")
         if self.impossible_readings.counts:
-            is_finite &= ~(self.impossible_readings.mask | self.impossible_readings.is_cut)
+            is_finite &= ~self.impossible_readings.is_unmeasured
         return np.where(is_finite, pixels, np.nan)
 
     @cached_property

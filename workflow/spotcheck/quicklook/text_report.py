@@ -176,6 +176,9 @@ def _find_cautions(image: ImageResult) -> Iterator[Caution]:
     if moments.is_measured and not moments.is_whole:
         sentence = f"{UNCERTAIN} D4σ is uncertain: its area of integration extends beyond the frame; part inside:"
         yield Caution(sentence, f"{100 * moments.area_fraction:.0f} %")
+    if moments.has_lost_light:
+        sentence = "D4σ is unknown: a part of the spot was not measured; part of its light on these pixels:"
+        yield Caution(sentence, f"{100 * moments.lost_light:.2g} %")
     if moments.is_measured and not moments.has_converged:
         yield Caution("D4σ does not converge: it keeps changing with its area of integration")
     if excess := image.width_excess:

@@ -16,7 +16,7 @@ block residuals over that of the noise, on held-out data. The `status` of a verd
 from typing import Any, NamedTuple
 
 from spotcheck.discrepancy.limits import ALREADY_PRESENT
-from spotcheck.discrepancy.sentence import effect_text, either_text
+from spotcheck.discrepancy.sentence import describe_exception, effect_text, either_text
 from spotcheck.discrepancy.words import condition_text, list_text, percent_text, probability_text
 from spotcheck.io.number_text import quantity_text
 
@@ -127,8 +127,7 @@ def _describe_significance(verdict: dict[str, Any]) -> str:
         text = f"Noise alone causes such a difference {chance}"
     else:
         # The overall test may miss what a test of one effect finds.
-        contrast = "tests of single effects do" if effects else "the residual exceeds the tolerance"
-        text = f"The overall test finds no disagreement ({probability_text(p)}), but {contrast}"
+        text = f"The overall test finds no disagreement ({probability_text(p)}), but {describe_exception(verdict)}"
     if status == "unknown":
         return f"{text}."
     if status == "ambiguous":
