@@ -271,11 +271,10 @@ def fit_jointly(
     target : float, optional
         −2 ln L to reach, for a start near the optimum. The fit ends early if `REACHABLE_DROP` decrements miss it.
     """
-    model = model if model.grid is None else model.with_least_light(pixels.share)
-    equations = assemble(model, pixels)
-    damping, step_fraction, count, factor_age = 0.0, 1.0, 0, 0  # `factor_age`: steps since the factor was computed
     total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
-    while True:
+    model = model if model.grid is None else model.with_least_light(pixels.share)
+    equations, damping, step_fraction, count, factor_age = assemble(model, pixels), 0.0, 1.0, 0, 0
+    while True:  # `factor_age`: steps since the factor was computed
         fixed = _find_blocked(model, equations)
         step = equations.solve(0.0, fixed)
         decrement, effect_decrement = equations.decrements(step, fixed)
