@@ -45,6 +45,13 @@ NAMES = {
     "img_0042": {"number": 42},
     "r2_beam_7": {"repeat": 2, "number": 7},
     "z18_beam_7": {"number": 7},
+    "t=3x10^-3s": {"exposure_s": 3e-3},
+    "z_p25mm": {"z_m": 0.025},
+    "z_minus25mm": {"z_m": -0.025},
+    "theta_30_2ms": {"angle_deg": 30.0, "exposure_s": 2e-3},
+    "theta=-30": {"angle_deg": -30.0},
+    "x_2_500um": {},
+    "x_m2mm": {},
 }
 
 
@@ -81,6 +88,34 @@ def test_names_inside_hdf5(path, inner_path, wanted):
 SILENT = ["exp_900", "z18", "f50mm", "x_3mm", "delay_10us", "b_000_c", "speckle", "45degree5", ""]
 # Perhaps the end of a fraction or of a decimal number.
 AMBIGUOUS = ["1-400s", "1_250s", "exp_3_5ms", "t_4_25ms", "3_5mm", "2-5ms", "1,000us"]
+# Names whose numbers have several readings, with the column, the text and the question.
+QUESTIONS = {
+    "exp_0_003s": ("exposure_s", "exp_0_003s", "0.003 or 3?"),
+    "z_0_075m": ("z_m", "z_0_075m", "0.075 or 75?"),
+    "spot_0_025deg": ("angle_deg", "0_025deg", "0.025 or 25?"),
+    "t_0_0007s": ("exposure_s", "t_0_0007s", "0.0007 or 7?"),
+    "exp_3_5ms": ("exposure_s", "exp_3_5ms", "3.5 or 5?"),
+    "exp3_000us": ("exposure_s", "exp3_000us", "3.000, 3000 or 0?"),
+    "exp_2,000us": ("exposure_s", "exp_2,000us", "2.000 or 2000?"),
+    "exp 4 000us": ("exposure_s", "exp 4 000us", "4000 or 0?"),
+    "exp_4'000us": ("exposure_s", "exp_4'000us", file_names.OPEN_EXPRESSION),
+    "1-400s": ("exposure_s", "1-400s", "1.400, 1400, 1/400 or 400?"),
+    "z_m25mm": ("z_m", "z_m25mm", "-25 or 25?"),
+    "exp=-3ms": ("exposure_s", "exp=-3ms", "-3 or 3?"),
+    "t=3^-2s": ("exposure_s", "t=3^-2s", file_names.OPEN_EXPRESSION),
+    "t=4x10-3s": ("exposure_s", "t=4x10-3s", file_names.OPEN_EXPRESSION),
+    "t=4e_3s": ("exposure_s", "t=4e_3s", file_names.OPEN_EXPRESSION),
+    "theta_67_5": ("angle_deg", "theta_67_5", "67.5 or 67?"),
+    "exp_2_5": ("exposure_s", "exp_2_5", "2.5 or 2?"),
+}
+
+
+@pytest.mark.parametrize("name", QUESTIONS)
+def test_names_with_several_readings_are_asked_about(name):
+    """One entry, without a value, quotes the whole number and lists its readings."""
+    found = [entry for entry in file_names.parse_name(name) if entry.column != "kind"]
+    assert [(entry.column, entry.text, entry.question) for entry in found] == [QUESTIONS[name]]
+    assert found[0].value is None and not found[0].number
 
 
 @pytest.mark.parametrize("name", [*SILENT, *AMBIGUOUS])

@@ -188,6 +188,32 @@ def test_numbers_without_a_unit(tmp_path, capsys):
     assert [frame.extra["z_m"] for frame in found.frames] == ["0.013", "0.018"]
 
 
+@pytest.mark.parametrize(
+    ("names", "text", "answer", "values"),
+    [
+        (["exp_3_5ms", "exp_4_5ms"], "", "exposure_s=ms", [None, None]),
+        (["exp_3_5", "exp_4_5"], "", "exposure_s=ms", [None, None]),
+        (["exp_3p5", "exp_4p5"], "", "exposure_s=ms", [0.0035, 0.0045]),
+        (["a", "b"], "Exposure = 1/250", "exposure_s=s", [0.004, 0.004]),
+        (["a", "b"], "Exposure = 2,500", "exposure_s=us", [None, None]),
+    ],
+)
+def test_a_unit_decides_nothing_but_the_unit(tmp_path, capsys, names, text, answer, values):
+    """A number with several readings stays blank, and the readings are named, once for all frames."""
+    saved(tmp_path, *(f"{name}.tif" for name in names), **({"description": text} if text else {}))
+    found, said = new(tmp_path, "--set", answer, capsys=capsys)
+    assert [frame.exposure_s for frame in found.frames] == values
+    assert ("? Left blank; write the value into column exposure_s of manifest.csv" in said) == (None in values)
+    assert said.count("unclear in") == (None in values) and "has no unit that is known" not in said
+
+
+def test_hyphens_of_numbers_without_a_unit_are_signs(tmp_path, capsys):
+    """Where other names have that word without one."""
+    found, _ = new(saved(tmp_path, "z-5.tif", "z0.tif", "z+5.tif"), "--set", "z_m=mm", capsys=capsys)
+    positions = {frame.file: float(frame.extra["z_m"]) for frame in found.frames}
+    assert positions == {"z-5.tif": -0.005, "z0.tif": 0.0, "z+5.tif": 0.005}
+
+
 def test_keys_and_what_else_is_said(tmp_path, capsys):
     """Keys with their origin, the rest as comments."""
     saved(tmp_path, "a.tif", description="pixel size: 3.45 um\nGain = 12 dB\nbit depth = 12")

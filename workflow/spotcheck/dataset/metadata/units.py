@@ -78,6 +78,13 @@ def convert_quantity(number: str, unit: str, dimension: str) -> float | None:
     return value if value is not None and abs(value) < _LARGEST_VALUE else None
 
 
+def ask_about_comma(number: str) -> str:
+    """Return the question whether the comma of a number separates thousands or decimals; "" if it is clear."""
+    if not _AMBIGUOUS_COMMA.fullmatch(number):
+        return ""
+    return f"{number.replace(',', '.')} or {number.replace(',', '')}?"
+
+
 def parse_quantity(text: str) -> tuple[str, str] | None:
     """Return number and unit, as texts, of a text such as `1.5 ms`, `1/200 s` or `3`; None for any other text.
 

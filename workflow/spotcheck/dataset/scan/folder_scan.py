@@ -113,7 +113,10 @@ def _restore_signs(frames: list[ScannedFrame]) -> tuple[ScannedFrame, ...]:
     def restore_sign(entry: MetadataEntry) -> MetadataEntry:
         """Return the entry with a negative number if its text has one of `signed_words` and a hyphen."""
         match = re.match(r"([^\W\d_]+)-\d", entry.text)
-        is_negative = match is not None and match[1] in signed_words and entry.source in NAME_SOURCES
-        return replace(entry, value=-entry.value) if is_negative and isinstance(entry.value, float) else entry
+        if match is None or match[1] not in signed_words or entry.source not in NAME_SOURCES:
+            return entry
+        # A number without a unit has no value yet.
+        number = f"-{entry.number}" if entry.number else ""
+        return replace(entry, value=-entry.value if isinstance(entry.value, float) else entry.value, number=number)
 
     return tuple(replace(frame, metadata=tuple(map(restore_sign, frame.metadata))) for frame in frames)

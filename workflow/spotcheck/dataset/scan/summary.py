@@ -72,9 +72,8 @@ def _collect_doubts(draft: ManifestDraft) -> dict[str, list[str]]:
     doubts: dict[str, list[str]] = {}
     for conflict in draft.conflicts:
         doubts.setdefault(conflict.column, []).append(f"contradictory in {count_text(conflict.frames, 'frame')}")
-    for unused in draft.unused:
-        if unused.column:
-            doubts.setdefault(unused.column, []).append(f"unclear in {count_text(unused.frames, 'frame')}")
+    for column, frames in draft.unclear_frames.items():
+        doubts.setdefault(column, []).append(f"unclear in {count_text(frames, 'frame')}")
     for key in draft.provenance:
         if "." in key and key not in draft.instrument_keys:
             doubts.setdefault(key, []).append("differs between frames or is out of range")
@@ -139,6 +138,16 @@ def _list_gaps(draft: ManifestDraft) -> Iterator[str]:
         elif unused.column and UNDECIDABLE_COMMA in unused.text:
             text = _format_unused(unused).replace(f" {UNDECIDABLE_COMMA}", "")
             yield f"{unused.column}: {text}: commas may separate thousands or decimals; write the column without them"
+        elif unused.question:
+            place = (
+                f"column {unused.column} of manifest.csv" if unused.column in METADATA_COLUMNS else "instrument.yaml"
+            )
+            yield (
+                f"{unused.column}: {_format_unused(unused)}: {unused.question} Left blank; write the value into"
+                f" {place}, or change the text so that it has one meaning"
+            )
+        elif unused.column and not unused.lacks_unit:
+            yield f"{unused.column}: {_format_unused(unused)} is no value with a unit that is known"
         elif unused.column:
             dimension = get_column_dimension(unused.column) if unused.column in METADATA_COLUMNS else None
             example_unit = {"s": "ms", "m": "mm"}.get(dimension or "")
