@@ -138,10 +138,38 @@ def test_names_that_say_nothing(name):
 )
 def test_commas_are_decided_from_the_column(cells, wanted):
     """A comma separates thousands or decimals in a whole column; an undecidable column has no values, and says so."""
-    lines = ["file,Exposure (us)", *(f'{k}.tif,"{cell}"' for k, cell in enumerate(cells))]
-    entries = [rows[0].entries[0] for rows in log_tables.parse_table("\n".join(lines), "log.csv").values()]
+    entries = read_exposures(cells, ",")
     assert [entry.value for entry in entries] == wanted
-    assert all((units.UNDECIDABLE_COMMA in entry.text) == (entry.value is None) for entry in entries)
+    assert all((units.UNDECIDABLE_SEPARATOR in entry.text) == (entry.value is None) for entry in entries)
+
+
+@pytest.mark.parametrize(
+    ("cells", "separator", "wanted_us"),
+    [
+        (["700", "3.000"], ";", None),
+        (["4.000", "3.000"], ";", None),
+        (["700", "3.000"], "\t", None),
+        (["4.000", "3.000"], "\t", [4.0, 3.0]),
+        (["700", "3.000"], ",", [700.0, 3.0]),
+        (["0.700", "3.000"], ";", [0.7, 3.0]),
+        (["3.000", "2.50E+00"], ";", [3.0, 2.5]),
+        (["3.000", "1.250.000"], ";", [3000.0, 1.25e6]),
+        (["700,5", "3.000", "1.250,25"], ";", [700.5, 3000.0, 1250.25]),
+        (["700.5", "3,000"], ",", [700.5, 3000.0]),
+        (["0.5", "2,5"], ";", [0.5, 2.5]),
+        (["0.5", "2,5", "3.000"], ";", None),
+    ],
+)
+def test_points_are_decided_from_the_column(cells, separator, wanted_us):
+    """As commas are; between commas, and between tabs where each number has one, points are decimal."""
+    values = [entry.value for entry in read_exposures(cells, separator)]
+    assert values == ([None] * len(cells) if wanted_us is None else pytest.approx([1e-6 * us for us in wanted_us]))
+
+
+def read_exposures(cells, separator):
+    """Return the entries of a table with these exposures in µs."""
+    lines = [f"file{separator}Exposure (us)", *(f'{k}.tif{separator}"{cell}"' for k, cell in enumerate(cells))]
+    return [rows[0].entries[0] for rows in log_tables.parse_table("\n".join(lines), "log.csv").values()]
 
 
 @pytest.mark.parametrize(

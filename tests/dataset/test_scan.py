@@ -77,8 +77,18 @@ def test_commas_of_a_log_table_are_decided_or_asked_for(tmp_path, capsys, cells,
     lines = [line for line in (tmp_path / "manifest.csv").read_text().splitlines() if not line.startswith("#")]
     written = {row["exposure_s"] for row in csv.DictReader(lines)}
     assert written == {""} if exposures_s is None else set(map(float, written)) == exposures_s
-    is_asked_for = "commas may separate thousands or decimals; write the column without them" in said
+    is_asked_for = "commas or points may separate thousands or decimals; write the column without them" in said
     assert is_asked_for == (exposures_s is None)
+    assert said.count("Exposure (us) = 1,500 (log.csv, and 2 like it)") == said.count("Exposure (us)") or exposures_s
+
+
+def test_apostrophes_and_spaces_separate_thousands(tmp_path, capsys):
+    """Nothing else is separated by them, so that nothing is asked."""
+    saved(tmp_path, "a.tif", "b.tif", "c.tif")
+    (tmp_path / "log.csv").write_text("file;texp (us)\na.tif;750\nb.tif;3'000\nc.tif;1 250 000\n", encoding="utf-8")
+    found, said = new(tmp_path, capsys=capsys)
+    assert [frame.exposure_s for frame in found.frames] == [0.00075, 0.003, 1.25]
+    assert "unit that is known" not in said
 
 
 def test_frames_that_cannot_be_measured_are_named(tmp_path, capsys):

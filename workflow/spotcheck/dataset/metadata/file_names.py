@@ -1,7 +1,8 @@
 """Metadata in names of files, folders and HDF5 datasets: `45deg/100us_003.tif`, `t=1.5ms`, `scan.h5#/dark_07`."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
 from pathlib import PurePath
 
 from spotcheck.dataset.metadata import units
@@ -313,6 +314,28 @@ def _parse_numbered_word(match: re.Match, is_separated_end: bool, source: str) -
     if key in (*KIND_WORDS, *COUNTER_WORDS) or is_separated_end:
         return None
     return MetadataEntry(None, None, text, source)
+
+
+def find_signed_words(entries: Iterable[MetadataEntry]) -> set[str]:
+    """Return the words in names that are directly followed by a number or a plus: a hyphen behind them is a minus.
+
+    `entries` are those of all images of a series. `z-5mm` is -5 mm beside `z+5mm` or `z0mm`, and otherwise 5 mm.
+    """
+    texts = {entry.text for entry in entries if entry.source in NAME_SOURCES}
+    return {match[1] for text in texts if (match := re.match(r"([^\W\d_]+)\+?\d", text))}
+
+
+def restore_sign(entry: MetadataEntry, signed_words: Collection[str]) -> MetadataEntry:
+    """Return an entry from a name with a negative number if its text has one of `signed_words` and a hyphen.
+
+    Other entries are returned as they are. `signed_words` are those of `find_signed_words`.
+    """
+    match = re.match(r"([^\W\d_]+)-\d", entry.text)
+    if match is None or match[1] not in signed_words or entry.source not in NAME_SOURCES:
+        return entry
+    # A number without a unit has no value yet.
+    number = f"-{entry.number}" if entry.number else ""
+    return replace(entry, value=-entry.value if isinstance(entry.value, float) else entry.value, number=number)
 
 
 def natural_sort_key(name: str) -> list[tuple[int, str]]:

@@ -187,7 +187,8 @@ def parse_table(text: str, source: str) -> RowsByName:
         return {}
     try:
         # The separator is the candidate that is most frequent in the header.
-        reader = csv.DictReader(lines[: MOST_ROWS + 1], delimiter=max(SEPARATORS, key=lines[0].count))
+        cell_separator = max(SEPARATORS, key=lines[0].count)
+        reader = csv.DictReader(lines[: MOST_ROWS + 1], delimiter=cell_separator)
         heading_of = {key_values.normalize_key(heading): heading for heading in reversed(reader.fieldnames or ())}
         # Rows with surplus cells (key None) or missing ones (value None) are dropped.
         rows = [row for row in reader if None not in row and None not in row.values()]
@@ -198,7 +199,8 @@ def parse_table(text: str, source: str) -> RowsByName:
         return {}
     # Only columns of quantities: a comma in a remark is no part of a number.
     for heading in filter(key_values.is_quantity, heading_of.values()):
-        for row, cell in zip(rows, units.resolve_commas([row[heading] for row in rows]), strict=True):
+        cells = units.resolve_separators([row[heading] for row in rows], cell_separator)
+        for row, cell in zip(rows, cells, strict=True):
             row[heading] = cell
     rows_by_name: RowsByName = {}
     for row in rows:

@@ -1,6 +1,5 @@
 """The frames in a folder of images, page by page, with their metadata."""
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import NamedTuple
 from spotcheck.dataset.folder import is_hidden
 from spotcheck.dataset.metadata import sidecar
 from spotcheck.dataset.metadata.entry import MetadataEntry
-from spotcheck.dataset.metadata.file_names import NAME_SOURCES, natural_sort_key
+from spotcheck.dataset.metadata.file_names import find_signed_words, natural_sort_key, restore_sign
 from spotcheck.dataset.metadata.log_tables import TableReader
 from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
@@ -73,7 +72,12 @@ def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
     read_files.update((folder / "manifest.csv", folder / "instrument.yaml"))
     unread_paths = (path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
     unread_files = sorted(map(replace_unprintable, unread_paths))
-    return FolderScan(_restore_signs(frames), tuple(unread_files), tuple(errors))
+    signed_words = find_signed_words(entry for frame in frames for entry in frame.metadata)
+    signed_frames = (
+        replace(frame, metadata=tuple(restore_sign(entry, signed_words) for entry in frame.metadata))
+        for frame in frames
+    )
+    return FolderScan(tuple(signed_frames), tuple(unread_files), tuple(errors))
 
 
 def _select_images(folder: Path, visible_files: list[Path]) -> list[Path]:
@@ -99,24 +103,3 @@ def _scan_image(image: Path, folder: Path, colour: Colour, tables: TableReader) 
             if not page.preview:
                 page_entries = tuple(entry for entry in entries if entry.page in (None, page_number))
                 yield ScannedFrame(stack, page_number, page.shape, page.bits, page_entries)
-
-
-def _restore_signs(frames: list[ScannedFrame]) -> tuple[ScannedFrame, ...]:
-    """Return the frames with a hyphen before a number read as minus if another name has that word without a hyphen.
-
-    `z-5mm` is -5 mm beside `z+5mm` or `z0mm`, and otherwise 5 mm.
-    """
-    texts = {entry.text for frame in frames for entry in frame.metadata if entry.source in NAME_SOURCES}
-    # Words directly followed by a number or a plus: a hyphen behind them is no separator.
-    signed_words = {match[1] for text in texts if (match := re.match(r"([^\W\d_]+)\+?\d", text))}
-
-    def restore_sign(entry: MetadataEntry) -> MetadataEntry:
-        """Return the entry with a negative number if its text has one of `signed_words` and a hyphen."""
-        match = re.match(r"([^\W\d_]+)-\d", entry.text)
-        if match is None or match[1] not in signed_words or entry.source not in NAME_SOURCES:
-            return entry
-        # A number without a unit has no value yet.
-        number = f"-{entry.number}" if entry.number else ""
-        return replace(entry, value=-entry.value if isinstance(entry.value, float) else entry.value, number=number)
-
-    return tuple(replace(frame, metadata=tuple(map(restore_sign, frame.metadata))) for frame in frames)
