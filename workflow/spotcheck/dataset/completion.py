@@ -166,12 +166,15 @@ def complete_manifest(path: Path, draft: ManifestDraft, answers: Collection[str]
         )
     remarks = list(_list_differences(written_rows, found_rows, answers))
     if missing:
-        names = list(dict.fromkeys(file for file, _ in missing))
-        listed = ", ".join(names[:MOST_LISTED]) + (", …" if len(names) > MOST_LISTED else "")
-        remarks.append(
-            f"manifest.csv: no row for {count_text(len(missing), 'frame')} ({listed}); add rows for those to be used"
-        )
+        remarks.append(_name_missing(missing))
     return Completion(text, tuple(changes), tuple(remarks), tuple(filled_columns))
+
+
+def _name_missing(frames: Collection[tuple[str, str]]) -> str:
+    """Return the remark on frames (file, page) without a row."""
+    names = list(dict.fromkeys(file for file, _ in frames))
+    listed = ", ".join(names[:MOST_LISTED]) + (", …" if len(names) > MOST_LISTED else "")
+    return f"manifest.csv: no row for {count_text(len(frames), 'frame')} ({listed}); add rows for those to be used"
 
 
 def _renew_repeats(

@@ -11,6 +11,7 @@ from spotcheck.dataset.scan.answers import get_column_dimension
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, Conflict, ManifestDraft, UnusedMetadata
 from spotcheck.dataset.scan.folder_scan import FolderScan
 from spotcheck.io.number_text import count_text
+from spotcheck.io.text import replace_unprintable
 
 # Most different values that a line lists, and most examples of a longer list.
 MOST_VALUES, MOST_EXAMPLES = 6, 5
@@ -42,6 +43,7 @@ def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterato
     yield from map(_format_conflict, draft.conflicts)
     yield from _list_gaps(draft)
     yield from scan.errors
+    yield from map(replace_unprintable, scan.table_remarks)
     if scan.unread_files:
         yield f"Not read: {_join_examples(scan.unread_files)}"
     if unknown_texts := [_format_unused(unused) for unused in draft.unused if unused.column is None]:
