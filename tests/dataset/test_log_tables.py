@@ -25,7 +25,8 @@ MATCHES = {
     "an image beside the table": ((".", "a"), [("x.tif", 5), ("a/x.tif", 6)], (5, 6)),
     "a row for all folders": (("a", "b"), [("x.tif", 5)], (5, 5)),
     "another case": (("a", "b"), [("a/X.TIF", 4), ("b/x.Tif", 8)], (4, 8)),
-    "no suffix": (("a", "b"), [("A/X", 4), ("b/x", 8)], ("conflict", 8)),
+    "folders in another case": (("Old", "New"), [("old/x.tif", 4), ("NEW/x.tif", 8)], (4, 8)),
+    "no suffix": (("a", "b"), [("A/X", 4), ("b/x", 8)], (4, 8)),
     "exact names before others": ((".",), [("X.tif", 4), ("x.tif", 8), ("x", 9)], (8,)),
     "two rows of another case": ((".",), [("X.tif", 4), ("x.TIF", 8)], ("conflict",)),
 }

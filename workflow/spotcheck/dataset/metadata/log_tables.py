@@ -142,8 +142,11 @@ class TableReader:
         relative_path, full_path = image.relative_to(folder).parts, image.absolute().parts
         common_parts = [_count_common_parts(row.path, full_path) for row in rows]
         is_exact = [row.path == relative_path for row in rows]
-        best = max(zip(is_exact, common_parts, strict=True))
-        selected = [row for row, *rank in zip(rows, is_exact, common_parts, strict=True) if tuple(rank) == best]
+        # Folders in another case count where nothing else distinguishes the rows.
+        similar_parts = [_count_common_parts(_fold_case(row.path), _fold_case(full_path)) for row in rows]
+        ranks = list(zip(is_exact, common_parts, similar_parts, strict=True))
+        best = max(ranks)
+        selected = [row for row, rank in zip(rows, ranks, strict=True) if rank == best]
         paths = {row.path for row in selected}
         if len(paths) == 1 and _names_another_file(selected[0].path, best[1], folder, image):
             return
@@ -178,6 +181,11 @@ def _count_images(folder: Path) -> Counter[str]:
     """Return the number of images in a folder by their name, and by their name without suffix, in lower case."""
     images = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
     return Counter(name.casefold() for path in images for name in (path.name, path.stem))
+
+
+def _fold_case(path: Sequence[str]) -> tuple[str, ...]:
+    """Return the parts of a path in lower case."""
+    return tuple(part.casefold() for part in path)
 
 
 def _count_common_parts(path: Sequence[str], other: Sequence[str]) -> int:
