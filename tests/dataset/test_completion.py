@@ -91,9 +91,47 @@ def test_new_columns_stand_at_the_end(tmp_path, capsys):
     said = call(folder, capsys, "z_m=cm")
     rows = [line for line in (folder / "manifest.csv").read_text().splitlines() if not line.startswith("#")]
     old_rows = [line for line in before.splitlines() if not line.startswith("#")]
+    # Each position is a condition of its own, so that the second row is no repeat of the first.
+    old_rows[-1] = old_rows[-1].removesuffix("1") + "0"
     assert rows == [f"{row},{cell}" for row, cell in zip(old_rows, ("z_m", "0.04", "0.09"), strict=True)]
     assert dataset.load(folder).instrument.conditions == ("z_m",)
     assert "manifest.csv: no row for 1 frame (z12.tif); add rows for those to be used" in said
+
+
+@pytest.mark.parametrize("is_edited", [False, True])
+@pytest.mark.parametrize("has_repeats", [False, True])
+def test_counted_repeats_follow_the_conditions(tmp_path, capsys, has_repeats, is_edited):
+    """Repeats that the program counted in one condition are numbered anew once exposures split it; others stay.
+
+    Without two exposures of one repeat, `check` says that p1 will be skipped, and `new-dataset` says what it left.
+    """
+    names = [f"{letter}.tif" for letter in "abcd"]
+    folder = write_frames(tmp_path, *names)
+    call(folder, capsys)
+    repeats = [4, 2, 2, 4] if has_repeats else [0, 1, 0, 1]
+    rows = [f"{name},{ms},{repeat}" for name, ms, repeat in zip(names, (3, 3, 8, 8), repeats, strict=True)]
+    (folder / "log.csv").write_text("\n".join(["file,Exposure (ms)" + ",rep" * has_repeats, *rows]) + "\n")
+    if not has_repeats:
+        (folder / "log.csv").write_text((folder / "log.csv").read_text().replace(",0\n", "\n").replace(",1\n", "\n"))
+    path = folder / "manifest.csv"
+    if is_edited:
+        path.write_text(path.read_text().replace("d.tif,spot,,,3", "d.tif,spot,,,7"))
+    said = call(folder, capsys)
+    written = [frame.repeat for frame in dataset.load(folder).frames]
+    assert written == ([0, 1, 2, 7] if is_edited else repeats)
+    assert ("manifest.csv: repeat is numbered anew in" in said) != is_edited
+    assert ("manifest.csv: repeat differs from the table above in" in said) == is_edited
+    main(["check", str(folder)])
+    assert ("no repeat in manifest.csv has two" in capsys.readouterr().out) == is_edited
+    assert "nothing is missing" in call(folder, capsys)
+
+
+def test_kinds_that_were_assumed_are_not_kept_in_silence(tmp_path, capsys):
+    """A log that says dark afterwards differs from the written spot."""
+    folder = write_frames(tmp_path, "a.tif", "b.tif")
+    call(folder, capsys)
+    (folder / "log.csv").write_text("file,kind\na.tif,spot\nb.tif,dark\n")
+    assert "manifest.csv: kind differs from the table above in 1 row, and stays" in call(folder, capsys)
 
 
 def test_the_budget_without_exposures_is_taken_back(tmp_path, capsys):

@@ -24,6 +24,11 @@ MATCHES = {
     "the folder alone is not named": (("a", "b"), [("x.tif", 2), ("x.tif", 7)], ("conflict", "conflict")),
     "an image beside the table": ((".", "a"), [("x.tif", 5), ("a/x.tif", 6)], (5, 6)),
     "a row for all folders": (("a", "b"), [("x.tif", 5)], (5, 5)),
+    "another case": (("a", "b"), [("a/X.TIF", 4), ("b/x.Tif", 8)], (4, 8)),
+    "folders in another case": (("Old", "New"), [("old/x.tif", 4), ("NEW/x.tif", 8)], (4, 8)),
+    "no suffix": (("a", "b"), [("A/X", 4), ("b/x", 8)], (4, 8)),
+    "exact names before others": ((".",), [("X.tif", 4), ("x.tif", 8), ("x", 9)], (8,)),
+    "two rows of another case": ((".",), [("X.tif", 4), ("x.TIF", 8)], ("conflict",)),
 }
 
 
@@ -48,6 +53,32 @@ def test_a_row_describes_the_image_at_its_path(tmp_path, case):
     values = (1e-3 * value if isinstance(value, int) else value for value in wanted)
     files = ((PurePath(folder) / "x.tif").as_posix() for folder in folders)
     assert found == dict(zip(files, values, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("images", "table", "names", "remark"),
+    [
+        (("k1.tif", "k2.tif"), "log.csv", ("k1.tif", "k2.tif"), None),
+        (("k1.tif", "K2.tif"), "log.csv", ("K1", "k2"), None),
+        (("k1.tif",), "log.csv", ("k1.tif", "k2.tif"), "log.csv: 1 of 2 rows match no image (k2.tif)"),
+        (("k1.tif", "broken.tif"), "log.csv", ("k1.tif", "broken.tif"), None),
+        (("k1.tif",), "log.csv", ("1", "2"), "log.csv: no row matches an image (1, 2); write the file names"),
+        (("k.tif", "k.png"), "log.csv", ("k",), "log.csv: no row matches an image (k); write the file names"),
+        (("a/b/k1.tif",), "log.csv", ("k1.tif",), "log.csv: its images are more than one folder below it"),
+        (("a/b/k1.tif",), "log.csv", ("k2.tif",), None),
+    ],
+)
+def test_rows_without_an_image_are_named(tmp_path, images, table, names, remark):
+    """In one line for each table."""
+    for image in images:
+        write_image(tmp_path / image)
+    if "broken.tif" in images:
+        (tmp_path / "broken.tif").write_bytes(b"II*\0")
+    (tmp_path / table).write_text(
+        "".join(f"{name},{ms}\n" for name, ms in [("file", "t_exp (ms)"), *((n, 3) for n in names)])
+    )
+    found = folder_scan.scan_folder(tmp_path).table_remarks
+    assert len(found) == (remark is not None) and all(one.startswith(remark) for one in found)
 
 
 @pytest.mark.parametrize(("pages", "is_conflict"), [(1, True), (2, True), (3, False), (4, False)])

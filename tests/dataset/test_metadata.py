@@ -45,6 +45,13 @@ NAMES = {
     "img_0042": {"number": 42},
     "r2_beam_7": {"repeat": 2, "number": 7},
     "z18_beam_7": {"number": 7},
+    "t=3x10^-3s": {"exposure_s": 3e-3},
+    "z_p25mm": {"z_m": 0.025},
+    "z_minus25mm": {"z_m": -0.025},
+    "theta_30_2ms": {"angle_deg": 30.0, "exposure_s": 2e-3},
+    "theta=-30": {"angle_deg": -30.0},
+    "x_2_500um": {},
+    "x_m2mm": {},
 }
 
 
@@ -81,6 +88,34 @@ def test_names_inside_hdf5(path, inner_path, wanted):
 SILENT = ["exp_900", "z18", "f50mm", "x_3mm", "delay_10us", "b_000_c", "speckle", "45degree5", ""]
 # Perhaps the end of a fraction or of a decimal number.
 AMBIGUOUS = ["1-400s", "1_250s", "exp_3_5ms", "t_4_25ms", "3_5mm", "2-5ms", "1,000us"]
+# Names whose numbers have several readings, with the column, the text and the question.
+QUESTIONS = {
+    "exp_0_003s": ("exposure_s", "exp_0_003s", "0.003 or 3?"),
+    "z_0_075m": ("z_m", "z_0_075m", "0.075 or 75?"),
+    "spot_0_025deg": ("angle_deg", "0_025deg", "0.025 or 25?"),
+    "t_0_0007s": ("exposure_s", "t_0_0007s", "0.0007 or 7?"),
+    "exp_3_5ms": ("exposure_s", "exp_3_5ms", "3.5 or 5?"),
+    "exp3_000us": ("exposure_s", "exp3_000us", "3.000, 3000 or 0?"),
+    "exp_2,000us": ("exposure_s", "exp_2,000us", "2.000 or 2000?"),
+    "exp 4 000us": ("exposure_s", "exp 4 000us", "4000 or 0?"),
+    "exp_4'000us": ("exposure_s", "exp_4'000us", file_names.OPEN_EXPRESSION),
+    "1-400s": ("exposure_s", "1-400s", "1.400, 1400, 1/400 or 400?"),
+    "z_m25mm": ("z_m", "z_m25mm", "-25 or 25?"),
+    "exp=-3ms": ("exposure_s", "exp=-3ms", "-3 or 3?"),
+    "t=3^-2s": ("exposure_s", "t=3^-2s", file_names.OPEN_EXPRESSION),
+    "t=4x10-3s": ("exposure_s", "t=4x10-3s", file_names.OPEN_EXPRESSION),
+    "t=4e_3s": ("exposure_s", "t=4e_3s", file_names.OPEN_EXPRESSION),
+    "theta_67_5": ("angle_deg", "theta_67_5", "67.5 or 67?"),
+    "exp_2_5": ("exposure_s", "exp_2_5", "2.5 or 2?"),
+}
+
+
+@pytest.mark.parametrize("name", QUESTIONS)
+def test_names_with_several_readings_are_asked_about(name):
+    """One entry, without a value, quotes the whole number and lists its readings."""
+    found = [entry for entry in file_names.parse_name(name) if entry.column != "kind"]
+    assert [(entry.column, entry.text, entry.question) for entry in found] == [QUESTIONS[name]]
+    assert found[0].value is None and not found[0].number
 
 
 @pytest.mark.parametrize("name", [*SILENT, *AMBIGUOUS])
@@ -103,10 +138,38 @@ def test_names_that_say_nothing(name):
 )
 def test_commas_are_decided_from_the_column(cells, wanted):
     """A comma separates thousands or decimals in a whole column; an undecidable column has no values, and says so."""
-    lines = ["file,Exposure (us)", *(f'{k}.tif,"{cell}"' for k, cell in enumerate(cells))]
-    entries = [rows[0].entries[0] for rows in log_tables.parse_table("\n".join(lines), "log.csv").values()]
+    entries = read_exposures(cells, ",")
     assert [entry.value for entry in entries] == wanted
-    assert all((units.UNDECIDABLE_COMMA in entry.text) == (entry.value is None) for entry in entries)
+    assert all((units.UNDECIDABLE_SEPARATOR in entry.text) == (entry.value is None) for entry in entries)
+
+
+@pytest.mark.parametrize(
+    ("cells", "separator", "wanted_us"),
+    [
+        (["700", "3.000"], ";", None),
+        (["4.000", "3.000"], ";", None),
+        (["700", "3.000"], "\t", None),
+        (["4.000", "3.000"], "\t", [4.0, 3.0]),
+        (["700", "3.000"], ",", [700.0, 3.0]),
+        (["0.700", "3.000"], ";", [0.7, 3.0]),
+        (["3.000", "2.50E+00"], ";", [3.0, 2.5]),
+        (["3.000", "1.250.000"], ";", [3000.0, 1.25e6]),
+        (["700,5", "3.000", "1.250,25"], ";", [700.5, 3000.0, 1250.25]),
+        (["700.5", "3,000"], ",", [700.5, 3000.0]),
+        (["0.5", "2,5"], ";", [0.5, 2.5]),
+        (["0.5", "2,5", "3.000"], ";", None),
+    ],
+)
+def test_points_are_decided_from_the_column(cells, separator, wanted_us):
+    """As commas are; between commas, and between tabs where each number has one, points are decimal."""
+    values = [entry.value for entry in read_exposures(cells, separator)]
+    assert values == ([None] * len(cells) if wanted_us is None else pytest.approx([1e-6 * us for us in wanted_us]))
+
+
+def read_exposures(cells, separator):
+    """Return the entries of a table with these exposures in µs."""
+    lines = [f"file{separator}Exposure (us)", *(f'{k}.tif{separator}"{cell}"' for k, cell in enumerate(cells))]
+    return [rows[0].entries[0] for rows in log_tables.parse_table("\n".join(lines), "log.csv").values()]
 
 
 @pytest.mark.parametrize(

@@ -77,8 +77,18 @@ def test_commas_of_a_log_table_are_decided_or_asked_for(tmp_path, capsys, cells,
     lines = [line for line in (tmp_path / "manifest.csv").read_text().splitlines() if not line.startswith("#")]
     written = {row["exposure_s"] for row in csv.DictReader(lines)}
     assert written == {""} if exposures_s is None else set(map(float, written)) == exposures_s
-    is_asked_for = "commas may separate thousands or decimals; write the column without them" in said
+    is_asked_for = "commas or points may separate thousands or decimals; write the column without them" in said
     assert is_asked_for == (exposures_s is None)
+    assert said.count("Exposure (us) = 1,500 (log.csv, and 2 like it)") == said.count("Exposure (us)") or exposures_s
+
+
+def test_apostrophes_and_spaces_separate_thousands(tmp_path, capsys):
+    """Nothing else is separated by them, so that nothing is asked."""
+    saved(tmp_path, "a.tif", "b.tif", "c.tif")
+    (tmp_path / "log.csv").write_text("file;texp (us)\na.tif;750\nb.tif;3'000\nc.tif;1 250 000\n", encoding="utf-8")
+    found, said = new(tmp_path, capsys=capsys)
+    assert [frame.exposure_s for frame in found.frames] == [0.00075, 0.003, 1.25]
+    assert "unit that is known" not in said
 
 
 def test_frames_that_cannot_be_measured_are_named(tmp_path, capsys):
@@ -186,6 +196,32 @@ def test_numbers_without_a_unit(tmp_path, capsys):
     assert "z_m" not in found.frames[0].extra
     found, _ = new(tmp_path, "--set", "z_m=mm", capsys=capsys)
     assert [frame.extra["z_m"] for frame in found.frames] == ["0.013", "0.018"]
+
+
+@pytest.mark.parametrize(
+    ("names", "text", "answer", "values"),
+    [
+        (["exp_3_5ms", "exp_4_5ms"], "", "exposure_s=ms", [None, None]),
+        (["exp_3_5", "exp_4_5"], "", "exposure_s=ms", [None, None]),
+        (["exp_3p5", "exp_4p5"], "", "exposure_s=ms", [0.0035, 0.0045]),
+        (["a", "b"], "Exposure = 1/250", "exposure_s=s", [0.004, 0.004]),
+        (["a", "b"], "Exposure = 2,500", "exposure_s=us", [None, None]),
+    ],
+)
+def test_a_unit_decides_nothing_but_the_unit(tmp_path, capsys, names, text, answer, values):
+    """A number with several readings stays blank, and the readings are named, once for all frames."""
+    saved(tmp_path, *(f"{name}.tif" for name in names), **({"description": text} if text else {}))
+    found, said = new(tmp_path, "--set", answer, capsys=capsys)
+    assert [frame.exposure_s for frame in found.frames] == values
+    assert ("? Left blank; write the value into column exposure_s of manifest.csv" in said) == (None in values)
+    assert said.count("unclear in") == (None in values) and "has no unit that is known" not in said
+
+
+def test_hyphens_of_numbers_without_a_unit_are_signs(tmp_path, capsys):
+    """Where other names have that word without one."""
+    found, _ = new(saved(tmp_path, "z-5.tif", "z0.tif", "z+5.tif"), "--set", "z_m=mm", capsys=capsys)
+    positions = {frame.file: float(frame.extra["z_m"]) for frame in found.frames}
+    assert positions == {"z-5.tif": -0.005, "z0.tif": 0.0, "z+5.tif": 0.005}
 
 
 def test_keys_and_what_else_is_said(tmp_path, capsys):

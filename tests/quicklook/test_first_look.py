@@ -159,6 +159,38 @@ def test_a_folder_gives_m2_by_the_names_of_its_files(scan):
     assert "z: from the file name" in found.remarks
 
 
+@pytest.mark.parametrize(
+    ("names", "question"),
+    [
+        (("z_2_5mm", "z_3_5mm"), "file name says 'z_2_5mm': 2.5 or 5? (2 images)"),
+        (("z_0mm", "z_m4mm"), "file name says 'z_m4mm': -4 or 4?"),
+        (("z12", "z18"), "file name says 'z12': which unit? (2 images)"),
+        (("z_12mm", "z_18mm"), None),
+        (("z12", "a"), "file name says 'z12': which unit?"),
+        (("z12",), None),
+    ],
+)
+def test_positions_that_are_not_used_are_named(names, question, tmp_path):
+    """With the question that they leave open."""
+    for name in names:
+        tifffile.imwrite(tmp_path / f"{name}.tif", drawn((6, 6), shape=(60, 60)))
+    remarks = [one for one in spotcheck.look(tmp_path).remarks if "z is not used" in one]
+    wanted = f"z is not used where it is unclear: {question}; give the positions of all images by --z for M²"
+    assert remarks == ([wanted] if question else [])
+
+
+def test_a_hyphen_is_a_minus_beside_names_without_one(tmp_path):
+    """As `new-dataset` reads it; without such names it separates."""
+    for folder, names, positions in (
+        ("both", ("z-3mm", "z0mm"), [-3e-3, 0.0]),
+        ("one", ("z-3mm", "z-4mm"), [3e-3, 4e-3]),
+    ):
+        (tmp_path / folder).mkdir()
+        for name in names:
+            tifffile.imwrite(tmp_path / folder / f"{name}.tif", drawn((6, 6), shape=(60, 60)))
+        assert sorted(image.z_m for image in spotcheck.look(tmp_path / folder).images) == positions
+
+
 @pytest.mark.parametrize(("factor", "is_flagged"), [(0.5, True), (1.0, False)])
 def test_m2_below_one_is_flagged(scan, factor, is_flagged):
     """Half of the pitch, as of a binning that nothing states, gives a quarter of M² 1.3, which no beam can have."""

@@ -15,7 +15,7 @@ from spotcheck.crops.ingest import check_dataset
 from spotcheck.dataset import folder
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.dataset.plausibility import list_unusual_values
-from spotcheck.fitting.calibration import explain_missing_law
+from spotcheck.fitting.calibration import explain_missing_law, explain_missing_sites
 from spotcheck.fitting.scan_caustic import explain_missing_caustic
 from spotcheck.io import configuration
 from spotcheck.model import baseline
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> None:
         print(remark)
     if dataset.spots:
         reasons = (
-            explain_missing_law(dataset.instrument, dataset.exposures),
+            explain_missing_law(dataset.instrument, dataset.exposures) or explain_missing_sites(dataset),
             explain_missing_caustic(dataset.instrument),
         )
         for reason in filter(None, reasons):

@@ -143,8 +143,9 @@ def _list_missing_keys(draft: ManifestDraft) -> Iterator[str]:
     # `missing` lists the files without a value, for each column. The exposure is asked for only if all rows lack it.
     if len(draft.missing["exposure_s"]) == len(draft.rows) and "exposure_s" not in unclear_columns:
         yield "exposure_s"
-    # `columns` has the position if at least one frame has a usable value of it.
-    if POSITION in unclear_columns and POSITION not in draft.columns:
+    # `columns` has the position if at least one frame has a usable value of it. A unit does not settle a question.
+    has_question = any(record.column == POSITION and record.question for record in draft.unused)
+    if POSITION in unclear_columns and POSITION not in draft.columns and not has_question:
         yield POSITION
     if draft.has_spots:
         yield from (key for key in ("sensor.pixel_pitch_m", "laser.wavelength_m") if key not in draft.instrument_keys)

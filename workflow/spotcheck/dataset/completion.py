@@ -9,7 +9,7 @@ import io
 import posixpath
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from spotcheck.dataset import template
 from spotcheck.dataset.instrument import read_instrument
 from spotcheck.dataset.manifest import list_lines, parse_number, read_rows
 from spotcheck.dataset.metadata.entry import ROUNDING_TOLERANCE
-from spotcheck.dataset.scan.draft import POSITION, ManifestDraft
+from spotcheck.dataset.scan.draft import CONDITION_COLUMNS, METADATA_COLUMNS, POSITION, ManifestDraft
 from spotcheck.errors import InputError
 from spotcheck.io import store
 from spotcheck.io.formats.names import split_inner_path
@@ -27,7 +27,8 @@ from spotcheck.io.schema import parse_keys, read_schema
 from spotcheck.io.text import read_text
 
 MANIFEST, INSTRUMENT = "manifest.csv", "instrument.yaml"
-# Columns that are never filled: they say which frame a row is, and a blank repeat means that repeats are not known.
+# Columns in which blanks are never filled: they say which frame a row is, and a blank repeat means that repeats are not
+# known.
 KEPT_COLUMNS = ("file", "page", "repeat")
 # Most names that a message lists.
 MOST_LISTED = 5
@@ -131,40 +132,117 @@ def complete_manifest(path: Path, draft: ManifestDraft, answers: Collection[str]
     columns, rows = read_rows(path)
     drafted = {(frame.file, str(frame.page)): row for frame, row in zip(draft.frames, draft.rows, strict=True)}
     completed_columns = [column for column in draft.columns if column not in KEPT_COLUMNS]
-    # New cells of each line by column, numbers of cells that are filled, and of cells that differ from an answer.
+    # New cells of each line by column, and the rows as they are and as they were found, by line.
     cells_of_line: dict[int, dict[str, str]] = {}
-    filled, differing = Counter[str](), Counter[str]()
+    written_rows: dict[int, dict[str, str]] = {}
+    found_rows: dict[int, dict[str, str]] = {}
+    filled = Counter[str]()
     missing = dict(drafted)
     for line, row in rows:
         cells = {column: (value or "").strip() for column, value in row.items() if column}
         key = _normalize_file(cells.get("file", "")), cells.get("page") or "0"
         found = drafted.get(key, {})
         missing.pop(key, None)
+        written_rows[line], found_rows[line] = cells, found
         new_cells = {name: found[name] for name in completed_columns if found.get(name) and not cells.get(name)}
         # Darks and flats have no angle, whatever the images of other kinds state.
         if cells.get("kind") not in ("", "spot"):
             new_cells.pop("angle_deg", None)
         filled.update(new_cells.keys())
-        differing.update(name for name in answers if _differs(cells.get(name, ""), found.get(name, "")))
         cells_of_line[line] = new_cells
+    is_template = read_text(path).startswith(template.format_comments("manifest"))
+    repeats = _renew_repeats(written_rows, cells_of_line, found_rows) if is_template else {}
+    for line, repeat in repeats.items():
+        cells_of_line[line]["repeat"] = written_rows[line]["repeat"] = repeat
     filled_columns = [column for column in draft.columns if filled[column]]
     new_columns = [column for column in filled_columns if column not in columns]
     text = _edit_lines(path, columns, new_columns, cells_of_line)
     row_count = count_text(len(rows), "row")
     changes = [f"manifest.csv: {column} is filled in {filled[column]} of {row_count}" for column in filled_columns]
-    remarks = [
-        f"manifest.csv: {column} has another value in {count_text(differing[column], 'row')}, which stays;"
-        " change it there if it is wrong"
-        for column in answers
-        if differing[column]
-    ]
-    if missing:
-        names = list(dict.fromkeys(file for file, _ in missing))
-        listed = ", ".join(names[:MOST_LISTED]) + (", …" if len(names) > MOST_LISTED else "")
-        remarks.append(
-            f"manifest.csv: no row for {count_text(len(missing), 'frame')} ({listed}); add rows for those to be used"
+    if repeats:
+        changes.append(
+            f"manifest.csv: repeat is numbered anew in {count_text(len(repeats), 'row')}, since it was counted without"
+            " these values"
         )
+    remarks = list(_list_differences(written_rows, found_rows, answers))
+    if missing:
+        remarks.append(_name_missing(missing))
     return Completion(text, tuple(changes), tuple(remarks), tuple(filled_columns))
+
+
+def _name_missing(frames: Collection[tuple[str, str]]) -> str:
+    """Return the remark on frames (file, page) without a row."""
+    names = list(dict.fromkeys(file for file, _ in frames))
+    listed = ", ".join(names[:MOST_LISTED]) + (", …" if len(names) > MOST_LISTED else "")
+    return f"manifest.csv: no row for {count_text(len(frames), 'frame')} ({listed}); add rows for those to be used"
+
+
+def _renew_repeats(
+    written_rows: Mapping[int, Mapping[str, str]],
+    new_cells: Mapping[int, Mapping[str, str]],
+    found_rows: Mapping[int, Mapping[str, str]],
+) -> dict[int, str]:
+    """Return the repeats that change since new cells split conditions, by line; {} if a person may have chosen them.
+
+    Repeats that number the rows of each condition in their order are those that the program counted. The new ones are
+    those of the images, or counts if these are missing or not unique.
+
+    Parameters
+    ----------
+    written_rows : cells of each row by column, by line.
+    new_cells : cells that are filled now, by line and column.
+    found_rows : cells of each row as the images give them, by line; empty for other rows.
+    """
+    before = [tuple(row.get(column, "") for column in CONDITION_COLUMNS) for row in written_rows.values()]
+    after = [
+        tuple(new_cells[line].get(column, row.get(column, "")) for column in CONDITION_COLUMNS)
+        for line, row in written_rows.items()
+    ]
+    repeats = [row.get("repeat", "") for row in written_rows.values()]
+    # New cells that are equal in all rows of a condition leave its repeats as they are.
+    if repeats != _count_repeats(before) or len(set(after)) == len(set(before)):
+        return {}
+    new_repeats = [found_rows[line].get("repeat", "") for line in written_rows]
+    if "" in new_repeats or len(set(zip(after, new_repeats, strict=True))) < len(after):
+        new_repeats = _count_repeats(after)
+    pairs = zip(written_rows, repeats, new_repeats, strict=True)
+    return {line: new_repeat for line, repeat, new_repeat in pairs if new_repeat != repeat}
+
+
+def _count_repeats(conditions: Sequence[tuple[str, ...]]) -> list[str]:
+    """Return the number of each row within its condition, from 0, as text."""
+    counts = Counter[tuple[str, ...]]()
+    repeats = []
+    for condition in conditions:
+        repeats.append(str(counts[condition]))
+        counts[condition] += 1
+    return repeats
+
+
+def _list_differences(
+    written_rows: Mapping[int, Mapping[str, str]], found_rows: Mapping[int, Mapping[str, str]], answers: Collection[str]
+) -> Iterator[str]:
+    """Yield a remark for each column with cells that differ from an answer, or from what was found.
+
+    `written_rows` and `found_rows` are those of `_renew_repeats`, and `answers` the columns that the user gave.
+    """
+    for column in METADATA_COLUMNS:
+        differing = 0
+        for line, row in written_rows.items():
+            found = found_rows[line].get(column, "")
+            # A kind of spot may only be assumed.
+            is_stated = column in answers or (column, found) != ("kind", "spot")
+            differing += is_stated and _differs(row.get(column, ""), found)
+        if differing and column in answers:
+            yield (
+                f"manifest.csv: {column} has another value in {count_text(differing, 'row')}, which stays;"
+                " change it there if it is wrong"
+            )
+        elif differing:
+            yield (
+                f"manifest.csv: {column} differs from the table above in {count_text(differing, 'row')}, and stays;"
+                " change it there if it is wrong"
+            )
 
 
 def _normalize_file(text: str) -> str:

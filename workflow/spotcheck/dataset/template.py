@@ -44,10 +44,15 @@ def list_settable_keys() -> dict[str, dict]:
     }
 
 
+def format_comments(file: str) -> str:
+    """Return the comments at the start of a new file, "manifest" or "instrument"."""
+    return read_yaml(COMMENTS)[file]
+
+
 def format_manifest(draft: ManifestDraft | None) -> str:
     """Return the text of manifest.csv: comments, header, and the rows of the draft or else an example."""
     text = io.StringIO()
-    text.write(read_yaml(COMMENTS)["manifest"])
+    text.write(format_comments("manifest"))
     columns = draft.columns if draft else REQUIRED_COLUMNS
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
@@ -58,7 +63,7 @@ def format_manifest(draft: ManifestDraft | None) -> str:
 def format_instrument(draft: ManifestDraft | None, crop_px: int | None) -> str:
     """Return the text of instrument.yaml: known keys with their source, the others as comments with their meaning."""
     known_keys = collect_known_keys(draft, crop_px) if draft else {}
-    lines = [read_yaml(COMMENTS)["instrument"]]
+    lines = [format_comments("instrument")]
     for name, schema in read_schema("instrument")["properties"].items():
         if schema["type"] == "object":
             section = {f"{name}.{key}": key_schema for key, key_schema in schema["properties"].items()}

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from spotcheck.crops.cropping import is_usable, iterate_cells
+from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.instrument import Instrument
 from spotcheck.fitting.crop_fits import select_preferred_fits
 from spotcheck.fitting.likelihood import JointFit, SiteFrame, fit_baseline
@@ -34,6 +35,10 @@ REGRESSIONS = ("regression", "regression_of_width")
 # The simulation uses the estimator of the paper.
 SIMULATION_ESTIMATOR = "regression"
 TOO_FEW_EXPOSURES = "p1 and p2 need usable spots of one site at two exposures or more"
+ONE_EXPOSURE_PER_SITE = (
+    f"{TOO_FEW_EXPOSURES}, but no repeat in manifest.csv has two; count repeats anew in each condition if the sample"
+    " did not move between exposures"
+)
 
 
 def explain_missing_law(instrument: Instrument, exposures_s: Sequence[float] | np.ndarray) -> str:
@@ -46,6 +51,15 @@ def explain_missing_law(instrument: Instrument, exposures_s: Sequence[float] | n
     if instrument.model.photon_budget == "free":
         return "model.photon_budget is free: every frame has its own width, no law in t"
     return TOO_FEW_EXPOSURES if len(exposures_s) < 2 else ""
+
+
+def explain_missing_sites(dataset: Dataset) -> str:
+    """Return a sentence that says that no site has two exposures, as counted by the manifest; "" if one has."""
+    exposure_axis = [axis.name for axis in dataset.axes].index("exposure")
+    cells = {index for index, _ in dataset.cells()}
+    # A site is one angle, repeat and combination of the declared conditions.
+    sites = {(*index[:exposure_axis], *index[exposure_axis + 1 :]) for index in cells}
+    return ONE_EXPOSURE_PER_SITE if len(cells) == len(sites) else ""
 
 
 def calibrate(crops: xr.Dataset, fits: xr.Dataset, instrument: Instrument, sensor: SensorModel | None) -> xr.Dataset:

@@ -176,8 +176,9 @@ def _find_positions(
         positions: list[float | None] = [float(z) for z in z_m]
     else:
         positions = [image.stated_value(Z) for image in images]
+        remarks += _remark_on_unclear_positions(images)
         if len(set(positions) - {None}) < 2:
-            return [None] * len(images), []
+            return [None] * len(images), remarks
         source = next(image.metadata[Z].source for image in images if Z in image.metadata)
         missing_count = positions.count(None)
         remarks.append(f"z: from the {source}" + (f"; images without: {missing_count}" if missing_count else ""))
@@ -186,6 +187,15 @@ def _find_positions(
     if highest - lowest > LONGEST_SCAN_M:
         remarks.append(f"z goes from {lowest:g} to {highest:g} m, which is implausibly long: is it in mm?")
     return positions, remarks
+
+
+def _remark_on_unclear_positions(images: Sequence[Image]) -> list[str]:
+    """Return a remark on positions that files state and that cannot be used; [] unless they differ between images."""
+    unclear = [image.unclear[Z] for image in images if Z in image.unclear and Z not in image.metadata]
+    if not unclear or len({image.unclear.get(Z) or image.stated_value(Z) for image in images}) < 2:
+        return []
+    others = f" ({len(unclear)} images)" if len(unclear) > 1 else ""
+    return [f"z is not used where it is unclear: {unclear[0]}{others}; give the positions of all images by --z for M²"]
 
 
 def _analyse_images(

@@ -4,16 +4,16 @@ Impossible readings are constants in place of measured readings (`dataset.imposs
 of `ImpossibleReadings`; those of faint light that a threshold cut off are in `is_cut`.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 
 from spotcheck.dataset.impossible_readings import ImpossibleReadings, find_impossible_readings
 from spotcheck.dataset.metadata.entry import MetadataEntry, resolve_entries
-from spotcheck.dataset.metadata.file_names import natural_sort_key
+from spotcheck.dataset.metadata.file_names import find_signed_words, natural_sort_key, parse_name, restore_sign
 from spotcheck.dataset.metadata.log_tables import TableReader
 from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
@@ -46,6 +46,7 @@ class Image:
     bits: int | None = None  # bits of a stored pixel; None unless pixels are unsigned integers
     metadata: dict[str, MetadataEntry] = field(default_factory=dict)  # what the file states, by column or key
     colour: Colour = MONOCHROME  # channel to read from a colour image
+    unclear: dict[str, str] = field(default_factory=dict)  # what the file states and is not used, by column or key
 
     def read(self) -> np.ndarray:
         """Return the readings [rows, columns] in DN as a new float64 array, NaN where not measured.
@@ -115,14 +116,18 @@ def open_images(inputs: ImageInput) -> tuple[list[Image], list[str]]:
     images: list[Image] = []
     errors: list[InputError] = []
     tables = TableReader()
-    for number, item in enumerate(inputs):
+    items = list(inputs)
+    files_of_item = [_list_files(Path(item)) if isinstance(item, str | Path) else [] for item in items]
+    names = {PurePath(split_inner_path(file.as_posix())[0]).stem for listed in files_of_item for file in listed}
+    signed_words = find_signed_words(entry for name in names for entry in parse_name(name))
+    for number, (item, listed_files) in enumerate(zip(items, files_of_item, strict=True)):
         if not isinstance(item, str | Path):
             images.append(_wrap_array(item, number))
             images[-1].read()
             continue
-        for file in _list_files(Path(item)):
+        for file in listed_files:
             try:
-                pages = list(_open_pages(file, tables))
+                pages = list(_open_pages(file, tables, signed_words))
             except InputError as error:
                 errors.append(error)
                 continue
@@ -189,23 +194,36 @@ def _list_files(path: Path) -> list[Path]:
     return sorted(images, key=lambda file: natural_sort_key(file.name))
 
 
-def _open_pages(path: Path, tables: TableReader) -> Iterator[Image]:
+def _open_pages(path: Path, tables: TableReader, signed_words: Collection[str]) -> Iterator[Image]:
     """Yield every page of every stack of a file, or of the stack at the path inside it, without previews.
 
-    `tables` has read the tables of the folders for earlier files. Raises `InputError`.
+    `tables` has read the tables of the folders for earlier files. `signed_words` are those of
+    `file_names.find_signed_words`. Raises `InputError`.
     """
     name, inner_path = split_inner_path(path.as_posix())
     file = Path(name)
     for stack in [f"{file.name}#{inner_path}"] if inner_path else files.list_stacks(file, file.name):
         source = file.parent / stack
         pages, colour = _list_pages(source, stack)
-        entries = read_metadata(file, None, split_inner_path(stack)[1], len(pages), tables)
+        stated = read_metadata(file, None, split_inner_path(stack)[1], len(pages), tables)
+        entries = [restore_sign(entry, signed_words) for entry in stated]
         image_pages = [(page_number, page) for page_number, page in enumerate(pages) if not page.preview]
         for page_number, page in image_pages:
             title = stack if len(image_pages) == 1 else f"{stack} page {page_number}"
-            metadata, _ = resolve_entries(entries, page_number)
+            metadata, conflicts = resolve_entries(entries, page_number)
+            unclear = _describe_unclear([entry for entry in entries if entry.page in (None, page_number)])
+            unclear |= {column: f"{first}, but {second}" for column, (first, second) in conflicts.items()}
             # Pages of floating-point numbers have 0 bits.
-            yield Image(title, source, page.shape, page_number, page.bits or None, metadata, colour)
+            yield Image(title, source, page.shape, page_number, page.bits or None, metadata, colour, unclear)
+
+
+def _describe_unclear(entries: Sequence[MetadataEntry]) -> dict[str, str]:
+    """Return for each column the first entry without a value as a clause that says what it leaves open."""
+    return {
+        entry.column: f"{entry}: {entry.question or ('which unit?' if entry.number else 'no value with a known unit')}"
+        for entry in reversed(entries)
+        if entry.column and entry.value is None
+    }
 
 
 def _list_pages(path: Path, name: str) -> tuple[list[Page], Colour]:

@@ -23,11 +23,14 @@ class MetadataEntry:
         of instrument.yaml (`sensor.pixel_pitch_m`, …), `number` for the number at the end of a file name, or
         `binning`. None if the text was not understood.
     value : number in the unit of `column`, or a word or date. None if the unit of the number is missing, the text was
-        not understood, or the binning differs between rows and columns.
+        not understood or can be read in several ways, or the binning differs between rows and columns.
     text : the text that was read, as messages show it.
     source : where the text was found, such as "TIFF tag 306 DateTime".
     page : page of the stack that the entry describes; None for all pages.
     includes_binning : whether a pixel pitch is that of the binned pixels, not of the pixels of the sensor.
+    number : the number in the text, with a decimal point, if nothing but its unit is missing; otherwise "".
+    question : the question that a text with several readings leaves open, such as "1.5 or 5?"; otherwise "". A unit
+        does not answer it.
     """
 
     column: str | None
@@ -36,10 +39,12 @@ class MetadataEntry:
     source: str
     page: int | None = None
     includes_binning: bool = False
+    number: str = ""
+    question: str = ""
 
     def __post_init__(self) -> None:
         """Replace characters that would change a terminal, and that YAML refuses even in comments."""
-        for name in ("text", "source"):
+        for name in ("text", "source", "question"):
             object.__setattr__(self, name, replace_unprintable(getattr(self, name)))
 
     @property

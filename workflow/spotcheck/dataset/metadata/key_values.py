@@ -164,7 +164,12 @@ def parse_pair(key: str, value: str, source: str, page: int | None = None) -> Me
     if dimension == BINNING:
         return _parse_binning(value, text, source, page)
     includes_binning = normalize_key(key) in BINNED_PITCH_KEYS
-    return MetadataEntry(column, parse_value(value, unit, dimension), text, source, page, includes_binning)
+    parsed_value, number, question = parse_value(value, unit, dimension), "", ""
+    quantity = units.parse_quantity(value) if dimension in units.UNITS else None
+    if parsed_value is None and quantity is not None:
+        question = units.ask_about_comma(quantity[0])
+        number = "" if unit or quantity[1] or question else quantity[0].replace(",", ".")
+    return MetadataEntry(column, parsed_value, text, source, page, includes_binning, number, question)
 
 
 def _parse_binning(value: str, text: str, source: str, page: int | None) -> MetadataEntry:

@@ -3,6 +3,7 @@
 A plane is a two-dimensional image at one focus (Z), channel (C) and time (T); it is stored as a page of a file.
 """
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime, timedelta
@@ -95,7 +96,8 @@ def _parse_quantity(element: Element, name: str, dimension: str, default_unit: s
         return None
     value = units.convert_quantity(text, unit, dimension)
     source = f"OME-XML {element.tag.rpartition('}')[2]} {name}"
-    return MetadataEntry(None, value, f"{name} = {text} {unit}".strip()[:LONGEST_SHOWN], source)
+    number = "" if unit or not re.fullmatch(units.NUMBER_PATTERN, text) else text
+    return MetadataEntry(None, value, f"{name} = {text} {unit}".strip()[:LONGEST_SHOWN], source, number=number)
 
 
 def _assign_pages(pixels: Element) -> dict[tuple[int, ...], int]:

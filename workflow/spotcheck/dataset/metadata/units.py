@@ -32,13 +32,19 @@ UNIT_PATTERN = "|".join(
     sorted((re.escape(unit) for factors in UNITS.values() for unit in factors), key=len, reverse=True)
 )
 NUMBER_PATTERN = r"[-+]?(?:\d+(?:[.,]\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
-# Remark on the cells of a column whose commas may separate either thousands or decimals.
-UNDECIDABLE_COMMA = "(comma: thousands or decimals?)"
+# Remark on the cells of a column whose commas or points may separate either thousands or decimals.
+UNDECIDABLE_SEPARATOR = "(thousands or decimals?)"
 # A comma before exactly three digits, which may separate either thousands or decimals.
 _AMBIGUOUS_COMMA = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
-# Numbers whose commas can only separate thousands, and those whose comma can only be a decimal one.
-_THOUSANDS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:(?:,\d{3}){2,}(?![\d,])|(?:,\d{3})+\.\d)")
-_DECIMAL_COMMA = re.compile(r"(?<![\d.,])(?:(?:0\d*|\d{4,}),\d+|\d+,(?:\d{1,2}|\d{4,}))(?![\d.,])")
+# Numbers, as templates, whose separator S can only separate thousands (O is the other separator), those whose S can
+# only be a decimal one, and those in which it may be either.
+_THOUSANDS = r"(?<![\d.,])[1-9]\d{0,2}(?:(?:S\d{3}){2,}(?![\dS])|(?:S\d{3})+O\d)"
+_DECIMALS = r"(?<![\d.,])(?:(?:0\d*|\d{4,})S\d+|\d+S(?:\d{1,2}|\d{4,})|\d+S\d+(?=[eE][-+]?\d))(?![\d.,])"
+_EITHER = r"(?<![\d.,])[1-9]\d{0,2}S\d{3}(?![\d.,])"
+# Apostrophes and spaces between groups of three digits, which separate nothing but thousands.
+_DIGIT_GROUPS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:['’ \u00a0\u2009\u202f]\d{3})+(?!\d)")
+# A number without a point or comma at the start of a cell.
+_WHOLE_NUMBER = re.compile(r"\s*[-+]?\d+(?![\d.,])")
 # A number or fraction, perhaps with a unit, which may stand in brackets.
 _QUANTITY = re.compile(rf"\s*({NUMBER_PATTERN})(?:\s*/\s*(\d+))?\s*[\[(]?([^\W\d_]*|°|DN/e-?|ADU/e-)[\])]?\s*")
 # Longest text that is read as a number with a unit [characters], and size from which converted numbers are rejected as
@@ -78,12 +84,19 @@ def convert_quantity(number: str, unit: str, dimension: str) -> float | None:
     return value if value is not None and abs(value) < _LARGEST_VALUE else None
 
 
+def ask_about_comma(number: str) -> str:
+    """Return the question whether the comma of a number separates thousands or decimals; "" if it is clear."""
+    if not _AMBIGUOUS_COMMA.fullmatch(number):
+        return ""
+    return f"{number.replace(',', '.')} or {number.replace(',', '')}?"
+
+
 def parse_quantity(text: str) -> tuple[str, str] | None:
     """Return number and unit, as texts, of a text such as `1.5 ms`, `1/200 s` or `3`; None for any other text.
 
     The unit is "" if it is absent, and may be unknown.
     """
-    match = _QUANTITY.fullmatch(text) if len(text) <= _LONGEST_QUANTITY else None
+    match = _QUANTITY.fullmatch(join_digit_groups(text)) if len(text) <= _LONGEST_QUANTITY else None
     if match is None:
         return None
     number, denominator, unit = match.groups()
@@ -94,17 +107,46 @@ def parse_quantity(text: str) -> tuple[str, str] | None:
     return number, unit
 
 
-def resolve_commas(cells: list[str]) -> list[str]:
+def join_digit_groups(text: str) -> str:
+    """Return a text with numbers such as `1'000` and `1 000` written without separators of thousands."""
+    return _DIGIT_GROUPS.sub(lambda match: re.sub(r"\D", "", match[0]), text)
+
+
+def resolve_separators(cells: list[str], cell_separator: str) -> list[str]:
     """Return the cells of a column, with numbers written without thousands separators and with decimal points.
 
-    The meaning of a comma is taken from all cells: `1,000,000` or `1,000.5` show thousands separators, `1,5` or `0,125`
-    a decimal comma. If they show neither or both, the commas are undecidable, and each cell gets `UNDECIDABLE_COMMA` at
-    its end, so that no cell of the column is read as a number.
+    The meaning of commas and points is taken from all cells: `1,000,000`, `1,000.5` or `2.5` show that commas separate
+    thousands; `1,5`, `0,125`, `1.000.000` or `1.000,5` that they are decimal. If the cells show neither or both, the
+    separators are undecidable, and each cell gets `UNDECIDABLE_SEPARATOR` at its end, so that no cell of the column is
+    read as a number.
+
+    Parameters
+    ----------
+    cells : cells of the column.
+    cell_separator : separator of the cells in a row. Points are decimal in tables that are separated by commas. With
+        semicolons, which are usual where commas are decimal, a column such as `1.000`, `2.000` is undecidable; with
+        tabs only if it has whole numbers as well.
     """
-    has_thousands = any(map(_THOUSANDS.search, cells))
-    has_decimals = any(map(_DECIMAL_COMMA.search, cells))
-    if has_thousands != has_decimals:
-        return [re.sub(r"(?<=\d),(?=\d)", "" if has_thousands else ".", cell) for cell in cells]
-    if has_thousands or any(map(_AMBIGUOUS_COMMA.search, cells)):
-        return [cell and f"{cell} {UNDECIDABLE_COMMA}" for cell in cells]
+    cells = [join_digit_groups(cell) for cell in cells]
+    has_decimal_points = _has_number(_THOUSANDS, ",", cells) or _has_number(_DECIMALS, ".", cells)
+    has_decimal_commas = _has_number(_THOUSANDS, ".", cells) or _has_number(_DECIMALS, ",", cells)
+    if has_decimal_points != has_decimal_commas:
+        thousands, decimal = (",", ".") if has_decimal_points else (".", ",")
+        whole = [re.sub(rf"(?<=\d){re.escape(thousands)}(?=\d)", "", cell) for cell in cells]
+        return [re.sub(rf"(?<=\d){re.escape(decimal)}(?=\d)", ".", cell) for cell in whole]
+    may_be_thousands = cell_separator == ";" or (cell_separator == "\t" and any(map(_WHOLE_NUMBER.match, cells)))
+    if has_decimal_points:
+        # Points and commas are both decimal, which matters only beside numbers with thousands.
+        is_open = any(_has_number(form, separator, cells) for form in (_THOUSANDS, _EITHER) for separator in ",.")
+    else:
+        is_open = _has_number(_EITHER, ",", cells) or (may_be_thousands and _has_number(_EITHER, ".", cells))
+    if is_open:
+        return [cell and f"{cell} {UNDECIDABLE_SEPARATOR}" for cell in cells]
     return cells
+
+
+def _has_number(template: str, separator: str, cells: list[str]) -> bool:
+    """Return whether a cell has a number of the form of a template for this separator, a comma or a point."""
+    other = "." if separator == "," else ","
+    pattern = re.compile(template.replace("S", re.escape(separator)).replace("O", re.escape(other)))
+    return any(map(pattern.search, cells))

@@ -4,7 +4,6 @@ KEY is a column of manifest.csv or a key of instrument.yaml. An answer is its va
 or the source that is right if two sources disagree. A source has the form of `MetadataEntry.source_pattern`.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -131,15 +130,16 @@ def _parse_answer(column: str, answer: str) -> float | int | str | None:
 
 
 def _apply_unit(entries: list[MetadataEntry], unit: str) -> list[MetadataEntry]:
-    """Return the entries whose text ends in a number, with the value of the number in `unit`.
+    """Return the entries that lack nothing but a unit, with the value of their number in `unit`.
 
-    Returns no entry if `unit` is not a unit of their column.
+    Returns no entry if `unit` is not a unit of their column, and none whose text has several readings, which a unit
+    does not decide.
     """
     converted_entries = []
     for entry in entries:
-        dimension, number = get_column_dimension(entry.column or ""), re.search(rf"{units.NUMBER_PATTERN}$", entry.text)
-        if dimension and number:
-            # A hyphen before the number is a separator, as in names of files.
-            value = units.convert_quantity(number[0].lstrip("-_"), unit, dimension)
-            converted_entries += [replace(entry, value=value)] if value is not None else []
+        dimension = get_column_dimension(entry.column or "")
+        value = units.convert_quantity(entry.number, unit, dimension) if dimension and entry.number else None
+        # No exposure time is negative.
+        if value is not None and (value >= 0 or dimension != "s"):
+            converted_entries.append(replace(entry, value=value))
     return converted_entries

@@ -43,6 +43,8 @@ class UnusedMetadata(NamedTuple):
     text: str  # text of the first such entry
     source: str  # its source
     frames: int  # number of frames with such an entry
+    question: str  # question that a text with several readings leaves open; "" for other texts
+    lacks_unit: bool  # whether nothing but the unit of its number is missing
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class ManifestDraft:
     conflicts: tuple[Conflict, ...]  # columns left blank in some frames because sources disagree
     missing: dict[str, tuple[str, ...]]  # files of the frames without a value, by column
     unused: tuple[UnusedMetadata, ...]  # remaining metadata, the most frequent first
+    unclear_frames: dict[str, int]  # number of frames with remaining metadata, by column
 
     @property
     def has_spots(self) -> bool:
@@ -104,6 +107,7 @@ def draft_manifest(scan: FolderScan, answers: Mapping[str, str]) -> ManifestDraf
         conflicts=_collect_conflicts(conflicts for _, conflicts in resolved_frames),
         missing=missing,
         unused=_collect_unused(frames, metadata),
+        unclear_frames=_count_unclear_frames(frames, metadata),
     )
 
 
@@ -255,10 +259,24 @@ def _collect_unused(frames: Sequence[ScannedFrame], metadata: Sequence[FrameMeta
     """
     unused_of: dict[tuple[str, str], UnusedMetadata] = {}
     for frame, entries in zip(frames, metadata, strict=True):
-        for entry in frame.metadata:
-            if entry.value is None and (entry.column is None or entry.column not in entries):
-                # Texts that differ only in their numbers have the same key.
-                key = re.sub(r"\d+", "0", entry.text), entry.source_pattern
-                first = unused_of.get(key, UnusedMetadata(entry.column, entry.text, entry.source_pattern, 0))
-                unused_of[key] = first._replace(frames=first.frames + 1)
+        for entry in _select_unused(frame, entries):
+            # Texts that differ only in their numbers have the same key.
+            key = re.sub(r"\d+", "0", entry.text), entry.source_pattern
+            new = UnusedMetadata(entry.column, entry.text, entry.source_pattern, 0, entry.question, bool(entry.number))
+            first = unused_of.get(key, new)
+            unused_of[key] = first._replace(frames=first.frames + 1)
     return tuple(sorted(unused_of.values(), key=lambda unused: -unused.frames))
+
+
+def _count_unclear_frames(frames: Sequence[ScannedFrame], metadata: Sequence[FrameMetadata]) -> dict[str, int]:
+    """Return the number of frames with unused metadata of each column; arguments are those of `_collect_unused`."""
+    return Counter(
+        column
+        for frame, entries in zip(frames, metadata, strict=True)
+        for column in {entry.column for entry in _select_unused(frame, entries) if entry.column}
+    )
+
+
+def _select_unused(frame: ScannedFrame, entries: FrameMetadata) -> list[MetadataEntry]:
+    """Return the entries of a frame without a value whose column is unknown, or not among `entries`."""
+    return [entry for entry in frame.metadata if entry.value is None and entry.column not in entries]

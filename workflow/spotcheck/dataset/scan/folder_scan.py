@@ -1,7 +1,6 @@
 """The frames in a folder of images, page by page, with their metadata."""
 
-import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -9,7 +8,7 @@ from typing import NamedTuple
 from spotcheck.dataset.folder import is_hidden
 from spotcheck.dataset.metadata import sidecar
 from spotcheck.dataset.metadata.entry import MetadataEntry
-from spotcheck.dataset.metadata.file_names import NAME_SOURCES, natural_sort_key
+from spotcheck.dataset.metadata.file_names import find_signed_words, natural_sort_key, restore_sign
 from spotcheck.dataset.metadata.log_tables import TableReader
 from spotcheck.dataset.metadata.readers import read_metadata
 from spotcheck.errors import InputError
@@ -17,6 +16,9 @@ from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
 from spotcheck.io.text import replace_unprintable
+
+# Most names of rows that a remark lists.
+MOST_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class FolderScan(NamedTuple):
     frames: tuple[ScannedFrame, ...]  # in the natural order of their file names
     unread_files: tuple[str, ...]  # paths of files that are neither images nor metadata
     errors: tuple[str, ...]  # one message for each image that cannot be read
+    table_remarks: tuple[str, ...] = ()  # one sentence for each table with rows that describe no image
 
 
 def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
@@ -73,7 +76,48 @@ def scan_folder(folder: Path, colour: Colour = MONOCHROME) -> FolderScan:
     read_files.update((folder / "manifest.csv", folder / "instrument.yaml"))
     unread_paths = (path.relative_to(folder).as_posix() for path in visible_files if path not in read_files)
     unread_files = sorted(map(replace_unprintable, unread_paths))
-    return FolderScan(_restore_signs(frames), tuple(unread_files), tuple(errors))
+    signed_words = find_signed_words(entry for frame in frames for entry in frame.metadata)
+    signed_frames = (
+        replace(frame, metadata=tuple(restore_sign(entry, signed_words) for entry in frame.metadata))
+        for frame in frames
+    )
+    files_with_frames = {split_inner_path(frame.file)[0] for frame in frames}
+    unread_images = [image for image in images if image.relative_to(folder).as_posix() not in files_with_frames]
+    table_remarks = _remark_on_tables(folder, images, tables, table_folders, unread_images)
+    return FolderScan(tuple(signed_frames), tuple(unread_files), tuple(errors), tuple(table_remarks))
+
+
+def _remark_on_tables(
+    folder: Path,
+    images: Sequence[Path],
+    tables: TableReader,
+    table_folders: Collection[Path],
+    unread_images: Sequence[Path],
+) -> Iterator[str]:
+    """Yield a sentence for each table below a folder with rows that describe no image.
+
+    `tables` has read the tables of `table_folders` for all images but `unread_images`, whose rows do not count. Tables
+    elsewhere count if they name an image.
+    """
+    names = {name.casefold() for image in images for name in (image.name, image.stem)}
+    unread_names = {name.casefold() for image in unread_images for name in (image.name, image.stem)}
+    for table_folder in sorted({parent for image in images for parent in image.parents}):
+        if not table_folder.is_relative_to(folder):
+            continue
+        for table, (unused_rows, row_count) in tables.list_unused_rows(table_folder).items():
+            name = table.relative_to(folder).as_posix()
+            rows = [row for row in unused_rows if row.path[-1].casefold() not in unread_names]
+            if table_folder not in table_folders:
+                if any(row.path[-1].casefold() in names for row in rows):
+                    yield f"{name}: its images are more than one folder below it; move it to them, or one folder above"
+                continue
+            if not rows:
+                continue
+            listed = ", ".join(row.name for row in rows[:MOST_LISTED]) + (", …" if len(rows) > MOST_LISTED else "")
+            if len(rows) == row_count:
+                yield f"{name}: no row matches an image ({listed}); write the file names of the images"
+            else:
+                yield f"{name}: {len(rows)} of {row_count} rows match no image ({listed})"
 
 
 def _select_images(folder: Path, visible_files: list[Path]) -> list[Path]:
@@ -99,21 +143,3 @@ def _scan_image(image: Path, folder: Path, colour: Colour, tables: TableReader) 
             if not page.preview:
                 page_entries = tuple(entry for entry in entries if entry.page in (None, page_number))
                 yield ScannedFrame(stack, page_number, page.shape, page.bits, page_entries)
-
-
-def _restore_signs(frames: list[ScannedFrame]) -> tuple[ScannedFrame, ...]:
-    """Return the frames with a hyphen before a number read as minus if another name has that word without a hyphen.
-
-    `z-5mm` is -5 mm beside `z+5mm` or `z0mm`, and otherwise 5 mm.
-    """
-    texts = {entry.text for frame in frames for entry in frame.metadata if entry.source in NAME_SOURCES}
-    # Words directly followed by a number or a plus: a hyphen behind them is no separator.
-    signed_words = {match[1] for text in texts if (match := re.match(r"([^\W\d_]+)\+?\d", text))}
-
-    def restore_sign(entry: MetadataEntry) -> MetadataEntry:
-        """Return the entry with a negative number if its text has one of `signed_words` and a hyphen."""
-        match = re.match(r"([^\W\d_]+)-\d", entry.text)
-        is_negative = match is not None and match[1] in signed_words and entry.source in NAME_SOURCES
-        return replace(entry, value=-entry.value) if is_negative and isinstance(entry.value, float) else entry
-
-    return tuple(replace(frame, metadata=tuple(map(restore_sign, frame.metadata))) for frame in frames)

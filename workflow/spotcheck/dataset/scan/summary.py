@@ -1,15 +1,17 @@
 """Summary of a folder scan and its draft for a terminal: a table and messages."""
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from spotcheck.dataset.manifest import parse_number
 from spotcheck.dataset.metadata.entry import BINNING, PITCH
-from spotcheck.dataset.metadata.units import UNDECIDABLE_COMMA
+from spotcheck.dataset.metadata.units import UNDECIDABLE_SEPARATOR
 from spotcheck.dataset.scan.answers import get_column_dimension
 from spotcheck.dataset.scan.draft import METADATA_COLUMNS, Conflict, ManifestDraft, UnusedMetadata
 from spotcheck.dataset.scan.folder_scan import FolderScan
 from spotcheck.io.number_text import count_text
+from spotcheck.io.text import replace_unprintable
 
 # Most different values that a line lists, and most examples of a longer list.
 MOST_VALUES, MOST_EXAMPLES = 6, 5
@@ -41,6 +43,7 @@ def summarize_scan(name: str, scan: FolderScan, draft: ManifestDraft) -> Iterato
     yield from map(_format_conflict, draft.conflicts)
     yield from _list_gaps(draft)
     yield from scan.errors
+    yield from map(replace_unprintable, scan.table_remarks)
     if scan.unread_files:
         yield f"Not read: {_join_examples(scan.unread_files)}"
     if unknown_texts := [_format_unused(unused) for unused in draft.unused if unused.column is None]:
@@ -72,9 +75,8 @@ def _collect_doubts(draft: ManifestDraft) -> dict[str, list[str]]:
     doubts: dict[str, list[str]] = {}
     for conflict in draft.conflicts:
         doubts.setdefault(conflict.column, []).append(f"contradictory in {count_text(conflict.frames, 'frame')}")
-    for unused in draft.unused:
-        if unused.column:
-            doubts.setdefault(unused.column, []).append(f"unclear in {count_text(unused.frames, 'frame')}")
+    for column, frames in draft.unclear_frames.items():
+        doubts.setdefault(column, []).append(f"unclear in {count_text(frames, 'frame')}")
     for key in draft.provenance:
         if "." in key and key not in draft.instrument_keys:
             doubts.setdefault(key, []).append("differs between frames or is out of range")
@@ -131,19 +133,46 @@ def _list_gaps(draft: ManifestDraft) -> Iterator[str]:
     for column, files in draft.missing.items():
         if files and len(files) < len(draft.rows) and any(row[column] for row in draft.rows):
             yield f"{column}: not found for {len(files)} of {len(draft.rows)} frames ({_join_examples(files)})"
-    for unused in draft.unused:
+    for unused in _merge_undecidable(draft.unused):
         if unused.column == BINNING:
             if PITCH in draft.instrument_keys:
                 continue
             yield f"{_format_unused(unused)}: rows and columns are binned differently; {PITCH_LEFT_BLANK}"
-        elif unused.column and UNDECIDABLE_COMMA in unused.text:
-            text = _format_unused(unused).replace(f" {UNDECIDABLE_COMMA}", "")
-            yield f"{unused.column}: {text}: commas may separate thousands or decimals; write the column without them"
+        elif unused.column and UNDECIDABLE_SEPARATOR in unused.text:
+            text = _format_unused(unused).replace(f" {UNDECIDABLE_SEPARATOR}", "")
+            cause = "commas or points may separate thousands or decimals; write the column without them"
+            yield f"{unused.column}: {text}: {cause}"
+        elif unused.question:
+            place = (
+                f"column {unused.column} of manifest.csv" if unused.column in METADATA_COLUMNS else "instrument.yaml"
+            )
+            yield (
+                f"{unused.column}: {_format_unused(unused)}: {unused.question} Left blank; write the value into"
+                f" {place}, or change the text so that it has one meaning"
+            )
+        elif unused.column and not unused.lacks_unit:
+            yield f"{unused.column}: {_format_unused(unused)} is no value with a unit that is known"
         elif unused.column:
             dimension = get_column_dimension(unused.column) if unused.column in METADATA_COLUMNS else None
             example_unit = {"s": "ms", "m": "mm"}.get(dimension or "")
             advice = f"; give it by --set {unused.column}={example_unit}" if example_unit else ""
             yield f"{unused.column}: {_format_unused(unused)} has no unit that is known{advice}"
+
+
+def _merge_undecidable(unused: Sequence[UnusedMetadata]) -> list[UnusedMetadata]:
+    """Return unused metadata with the cells of a column of undecidable separators as one.
+
+    Its text is that of a cell with such a separator, if there is one.
+    """
+    merged: dict[tuple[str | None, str, str], UnusedMetadata] = {}
+    for record in unused:
+        is_undecidable = UNDECIDABLE_SEPARATOR in record.text
+        key = record.column, record.source, "" if is_undecidable else record.text
+        first = merged.get(key, record)
+        frames = first.frames + (0 if first is record else record.frames)
+        has_separator = re.search(r"\d[.,]\d", first.text) is not None
+        merged[key] = (first if has_separator else record)._replace(frames=frames)
+    return list(merged.values())
 
 
 def _format_unused(unused: UnusedMetadata) -> str:
