@@ -37,8 +37,8 @@ VERDICT = {
     ],
     "light": {"power": 0.06, "stderr": 0.01, "orders": [0.25, 0.75], "lowest": -0.02, "words": "lobes"},
     "sheet": [
-        {"name": "gain_dn_per_e", "unit": "DN/e-", "stated": 0.11, "stated_stderr": 0.001, "found": 0.12,
-         "stderr": 0.002, "stated_errors": 10.0, "z": 4.0, "contradicts": True}
+        {"name": "gain_dn_per_e", "unit": "DN/e-", "source": "data sheet", "stated": 0.11,
+         "stated_stderr": 0.001, "found": 0.12, "stderr": 0.002, "stated_errors": 10.0, "z": 4.0, "contradicts": True}
     ],
     "limits": [{"effect": "row_noise", "parameter": "rms", "low": None, "high": 0.05, "unit": "DN", "frames": 270}],
     "baseline_shift": {"p1": {"before": 1.6, "after": 0.002, "stderr": 0.007, "unit": "px"}},
