@@ -109,7 +109,7 @@ class BlockNoise(NamedTuple):
 
     ratio: tuple[float, ...]  # this ratio of variances, 1 for white noise [side]
     variance: tuple[float, ...]  # square of the standard error of the ratio [side]
-    count: tuple[float, ...]  # number of differences of blocks; 0 without any, where the ratio is 0 [side]
+    pairs: tuple[float, ...]  # number of differences of blocks; 0 without any, where the ratio is 0 [side]
 
 
 class _Bin(NamedTuple):
