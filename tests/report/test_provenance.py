@@ -239,6 +239,22 @@ def test_a_wrong_name_is_refused_in_a_sentence(results, asked, said):
     assert "\n" not in str(refused.value)
 
 
+def test_a_skipped_number_is_said_to_be_skipped(results, tmp_path):
+    """By its short and its full name, in any spelling; other names are unknown as before."""
+    shutil.copytree(results, tmp_path / "r")
+    for name in ("verdict.json", "paper_numbers.csv"):
+        (tmp_path / "r" / name).unlink()
+    reason = "p1 and p2 need exposure times, and the manifest gives none"
+    for name in ("calibration", "caustic"):
+        attributes = {"title": "none", "dataset": "drawn", "skipped": reason}
+        store.write(xr.Dataset(attrs=attributes), tmp_path / "r" / f"{name}.nc", code="abc123", inputs=[])
+    for asked in ("p1", "calibration.p2", "calibration.p1_stderr", "M²"):
+        with pytest.raises(InputError, match=f"was skipped: {reason}"):
+            provenance.find_number(tmp_path / "r", asked)
+    with pytest.raises(InputError, match="has this name"):
+        provenance.find_number(tmp_path / "r", "p17")
+
+
 def test_the_newest_files_answer(results, tmp_path):
     """A page may be written, and a stage run again, in one process."""
     own = shutil.copytree(results, tmp_path / "own")
