@@ -2,12 +2,13 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from spotcheck.discrepancy.conclude import error_without_prior
+from spotcheck.discrepancy.conclude import absorbed_noise, error_without_prior
 from spotcheck.discrepancy.findings import Consistency, Findings, Gap, MetricChange, Unexplained, UpperLimit
 from spotcheck.discrepancy.sentence import summarize_verdict
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE, Status, compose_verdict, weigh_candidates
@@ -164,6 +165,16 @@ def test_a_value_from_the_same_frames_is_no_data_sheet_to_contradict():
     # Equal errors of prior and frames: the fit with both has 1/√2 of them, the frames alone all of it.
     assert error_without_prior(0.02 / 2**0.5, 0.02) == pytest.approx(0.02)
     assert error_without_prior(0.03, 0.02) == 0.02
+
+
+def test_a_free_shape_absorbs_noise_in_proportion_to_its_coefficients():
+    """Nodes half a σ of 8 px apart: one in 4 × 4 px, shared by five frames; without a shape none."""
+    spots = SimpleNamespace(log_sigma=np.full(5, np.log(8.0)))
+    fit: Any = SimpleNamespace(model=SimpleNamespace(grid=SimpleNamespace(step=0.5), spots=spots))
+    fit.pixels = SimpleNamespace(share=1.0)
+    assert absorbed_noise(fit) == pytest.approx(1 / 80)
+    fit.model.grid = None
+    assert absorbed_noise(fit) == 0.0
 
 
 def test_what_remains():
