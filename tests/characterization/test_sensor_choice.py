@@ -5,7 +5,7 @@ import pytest
 
 from spotcheck.characterization.dark_frames import DarkLevels, select_dark_levels
 from spotcheck.characterization.emva_quantities import Quantity
-from spotcheck.characterization.sensor_choice import choose_sensor_values
+from spotcheck.characterization.sensor_choice import choose_sensor_values, read_sources
 from spotcheck.crops.full_scale import FullScale
 from spotcheck.dataset.frames import reduce_frame
 from spotcheck.model.spot import elliptical_gaussian
@@ -119,6 +119,12 @@ def test_flats_speak_before_spots_and_after_the_data_sheet(tmp_path):
     assert (float(ds["gain_dn_per_e"]), float(ds["read_noise_e"])) == (0.26, 8.1)
     assert float(ds["dark_current_e_per_s"]) == 0 and np.isinf(float(ds["full_well_e"]))
     assert ds["gain_dn_per_e"].attrs["source"] == "photon transfer of flats and darks"
+    assert read_sources(ds)["gain_dn_per_e"] == "flats and darks"
+    by_spots = choose_sensor_values(loaded(tmp_path / "c", FRAME, TEXT), END, crops)
+    assert read_sources(by_spots)["gain_dn_per_e"] == read_sources(by_spots)["read_noise_e"] == "spots"
+    assert read_sources(by_spots)["black_level_dn"] == "data sheet" and "dark_current_e_per_s" not in read_sources(
+        by_spots
+    )
     sheet = TEXT.replace("bit_depth: 12", "bit_depth: 12, gain_dn_per_e: 0.3")
     ds = choose_sensor_values(loaded(tmp_path / "b", FRAME, sheet), END, crops, measured=measured)
     assert float(ds["gain_dn_per_e"]) == 0.3 and float(ds["read_noise_e"]) == 8.1

@@ -92,9 +92,13 @@ def test_apostrophes_and_spaces_separate_thousands(tmp_path, capsys):
 
 
 def test_frames_that_cannot_be_measured_are_named(tmp_path, capsys):
-    """In place of the remark that no spot stands out, which would be wrong advice."""
+    """They have no row; without any other, nothing is written."""
     for name in ("a.npy", "b.npy"):
         np.save(tmp_path / name, spot().byteswap())
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(tmp_path)])
+    assert "swapped" in capsys.readouterr().err and not (tmp_path / "manifest.csv").exists()
+    np.save(tmp_path / "c.npy", spot())
     main(["new-dataset", str(tmp_path)])
     said = capsys.readouterr().out
     assert all(f"{name}: has its high and low bytes swapped" in said for name in ("a.npy", "b.npy"))

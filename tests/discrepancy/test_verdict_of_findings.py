@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from spotcheck.discrepancy.conclude import absorbed_noise, error_without_prior
 from spotcheck.discrepancy.findings import Consistency, Findings, Gap, MetricChange, Unexplained, UpperLimit
 from spotcheck.discrepancy.sentence import summarize_verdict
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE, Status, compose_verdict, weigh_candidates
@@ -150,6 +152,29 @@ def test_a_value_that_misfit_pulls_away_does_not_contradict_the_sheet():
     """11 errors of the sheet, but 0.7 of its own."""
     pulled = replace(NOISE, fitted=NOISE.stated + 11 * NOISE.stated_stderr, stderr=15 * NOISE.stated_stderr)
     assert not compose_verdict(agree(sensor=(pulled,)), "small")["sheet"][0]["contradicts"]
+
+
+def test_a_value_from_the_same_frames_is_no_data_sheet_to_contradict():
+    """The shift is that of `GAIN`, 6.7 errors; flats and darks are tested and named, spots are not."""
+    for source, contradicts in (("flats and darks", True), ("spots", False)):
+        document = compose_verdict(agree(sensor=(replace(GAIN, source=source),)), "small")
+        (row,) = document["sheet"]
+        assert (row["source"], row["contradicts"], row["z"] is not None) == (source, contradicts, contradicts)
+        assert ("contradict the flats and darks: the gain" in summarize_verdict(document)) == contradicts
+        assert "data sheet" not in summarize_verdict(document)
+    # Equal errors of prior and frames: the fit with both has 1/√2 of them, the frames alone all of it.
+    assert error_without_prior(0.02 / 2**0.5, 0.02) == pytest.approx(0.02)
+    assert error_without_prior(0.03, 0.02) == 0.02
+
+
+def test_a_free_shape_absorbs_noise_in_proportion_to_its_coefficients():
+    """Nodes half a σ of 8 px apart: one in 4 × 4 px, shared by five frames; without a shape none."""
+    spots = SimpleNamespace(log_sigma=np.full(5, np.log(8.0)))
+    fit: Any = SimpleNamespace(model=SimpleNamespace(grid=SimpleNamespace(step=0.5), spots=spots))
+    fit.pixels = SimpleNamespace(share=1.0)
+    assert absorbed_noise(fit) == pytest.approx(1 / 80)
+    fit.model.grid = None
+    assert absorbed_noise(fit) == 0.0
 
 
 def test_what_remains():

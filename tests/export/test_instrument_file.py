@@ -195,7 +195,8 @@ def test_effects_and_light_of_a_verdict(tmp_path):
         named("excess_read_noise", "", "row_noise", total=(17.0, 0.4, "e-")),
         named("dark_offset", "light", level=(3.0, 0.1, "DN")),
     ]
-    sheet = {"name": "gain_dn_per_e", "unit": "DN/e-", "found": 0.22, "stderr": 0.001, "contradicts": True}
+    sheet = {"name": "gain_dn_per_e", "unit": "DN/e-", "source": "data sheet", "found": 0.22, "stderr": 0.001}
+    sheet["contradicts"] = True
     verdict = {"effects": effects, "sheet": [sheet], "light": {"words": "6 % of its power lies elsewhere"}}
     results, given = tmp_path / "results", Instrument(sensor=Sensor(gain_dn_per_e=0.11), given_keys=frozenset())
     results.mkdir()

@@ -6,10 +6,13 @@ import pytest
 import tifffile
 from PIL import Image
 
+import spotcheck
+from spotcheck.cli import main
 from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import Colour
 from spotcheck.quicklook.images import open_images
+from spotcheck.quicklook.text_report import list_cautions
 
 
 def draw_spot(bits: int, seed: int = 0, peak: float = 0.7, shape: tuple[int, int] = (90, 110)) -> np.ndarray:
@@ -128,3 +131,33 @@ def test_false_colours_are_refused(name, bits, peak, tmp_path):
         open_images(tmp_path)
     with pytest.raises(InputError, match="false colours"):
         files.read_pixels(tmp_path / "a.tif", 0, "a.tif", Colour("red"))
+
+
+def test_a_dataset_of_swapped_frames_is_refused_by_every_command(tmp_path, capsys):
+    """`new-dataset` writes nothing, names a file once, and leaves it out beside sound ones; `check` refuses it."""
+    swapped = np.stack([draw_spot(12, seed) for seed in range(3)]).byteswap()
+    tifffile.imwrite(tmp_path / "a.tif", swapped, photometric="minisblack")
+    with pytest.raises(SystemExit):
+        main(["new-dataset", str(tmp_path)])
+    assert capsys.readouterr().err.count("high and low bytes swapped") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["a.tif"]
+    tifffile.imwrite(tmp_path / "b.tif", draw_spot(12, 4), photometric="minisblack")
+    main(["new-dataset", str(tmp_path)])
+    assert capsys.readouterr().out.count("a.tif: has its high and low bytes swapped") == 1
+    manifest = (tmp_path / "manifest.csv").read_text()
+    assert "b.tif" in manifest and "a.tif" not in manifest
+    (tmp_path / "instrument.yaml").write_text("crop_px: 60")
+    main(["check", str(tmp_path)])
+    (tmp_path / "manifest.csv").write_text("file,kind,angle_deg,exposure_s,repeat,page\na.tif,spot,,,0,1\n")
+    with pytest.raises(SystemExit) as refused:
+        main(["check", str(tmp_path)])
+    assert refused.value.code == 2 and "high and low bytes swapped" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shift", [0, 4], ids=["16 bits", "12 bits, left-aligned"])
+def test_a_look_tells_swapped_bytes_from_no_spot(shift):
+    image = draw_spot(16 - shift) << shift
+    for readings, said in ((image, False), (image.byteswap(), True), (draw_flat(1540) << shift, False)):
+        (one,) = spotcheck.look(readings).images
+        assert any("bytes are swapped" in text for text in list_cautions(one)) == said
+        assert (one.fit is None) == (said or readings.shape == (60, 70))

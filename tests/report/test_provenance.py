@@ -37,8 +37,8 @@ VERDICT = {
     ],
     "light": {"power": 0.06, "stderr": 0.01, "orders": [0.25, 0.75], "lowest": -0.02, "words": "lobes"},
     "sheet": [
-        {"name": "gain_dn_per_e", "unit": "DN/e-", "stated": 0.11, "stated_stderr": 0.001, "found": 0.12,
-         "stderr": 0.002, "stated_errors": 10.0, "z": 4.0, "contradicts": True}
+        {"name": "gain_dn_per_e", "unit": "DN/e-", "source": "data sheet", "stated": 0.11,
+         "stated_stderr": 0.001, "found": 0.12, "stderr": 0.002, "stated_errors": 10.0, "z": 4.0, "contradicts": True}
     ],
     "limits": [{"effect": "row_noise", "parameter": "rms", "low": None, "high": 0.05, "unit": "DN", "frames": 270}],
     "baseline_shift": {"p1": {"before": 1.6, "after": 0.002, "stderr": 0.007, "unit": "px"}},
@@ -237,6 +237,22 @@ def test_a_wrong_name_is_refused_in_a_sentence(results, asked, said):
     with pytest.raises(InputError, match=said) as refused:
         provenance.find_number(results, asked)
     assert "\n" not in str(refused.value)
+
+
+def test_a_skipped_number_is_said_to_be_skipped(results, tmp_path):
+    """By its short and its full name, in any spelling; other names are unknown as before."""
+    shutil.copytree(results, tmp_path / "r")
+    for name in ("verdict.json", "paper_numbers.csv"):
+        (tmp_path / "r" / name).unlink()
+    reason = "p1 and p2 need exposure times, and the manifest gives none"
+    for name in ("calibration", "caustic"):
+        attributes = {"title": "none", "dataset": "drawn", "skipped": reason}
+        store.write(xr.Dataset(attrs=attributes), tmp_path / "r" / f"{name}.nc", code="abc123", inputs=[])
+    for asked in ("p1", "calibration.p2", "calibration.p1_stderr", "M²"):
+        with pytest.raises(InputError, match=f"was skipped: {reason}"):
+            provenance.find_number(tmp_path / "r", asked)
+    with pytest.raises(InputError, match="has this name"):
+        provenance.find_number(tmp_path / "r", "p17")
 
 
 def test_the_newest_files_answer(results, tmp_path):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from spotcheck.characterization.noise_curve import measure_pair_correlation
+from spotcheck.characterization.noise_curve import BlockNoise, measure_block_noise, measure_pair_correlation
 from spotcheck.dataset import frames
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import PHOTONS, Frame, parse_number
@@ -49,6 +49,7 @@ class Level:
     pattern: PatternVariances  # variances of the fixed pattern [DN²]; NaN with a single frame
     shape: tuple[int, int]  # rows and columns of a frame
     noise_range_px: int = 0  # distance over which pixels share noise in the first two frames [px]; 0: they do not
+    block_noise: BlockNoise | None = None  # noise of means of pixels in the first two frames; None with a single one
 
     @property
     def is_saturated(self) -> bool:
@@ -199,7 +200,7 @@ def measure_level(
     """
     means, row_variances, patterns = list[float](), list[np.ndarray](), list[PatternVariances]()
     pixels_at_zero = pixels_at_full = pixels = 0
-    previous, noise_range_px = np.zeros((0, 0)), 0
+    previous, noise_range_px, block_noise = np.zeros((0, 0)), 0, None
     for index, frame in enumerate(images):
         image = frame.astype(float)
         means.append(float(np.nanmean(image)))
@@ -211,6 +212,7 @@ def measure_level(
             patterns.append(estimate_pattern_variances(previous, image))
         if index == 1:
             noise_range_px = measure_pair_correlation(previous, image).range_px
+            block_noise = measure_block_noise(image - previous)
         previous = image
     variance = variance_error = mean_error = np.nan
     pattern = PatternVariances(*[np.nan] * len(PatternVariances._fields))
@@ -234,6 +236,7 @@ def measure_level(
         pattern=pattern,
         shape=(previous.shape[0], previous.shape[1]),
         noise_range_px=noise_range_px,
+        block_noise=block_noise,
     )
 
 

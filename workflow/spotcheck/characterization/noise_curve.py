@@ -13,6 +13,7 @@ four pixels of one mean, the variance of d is a quarter of this sum. Read noise 
 darkest pixels form one bin.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -63,6 +64,9 @@ FITS = 4
 # Correlation of differences: largest lag [px]; least deviation from white noise that counts, to which this number of
 # standard errors is added; and least deviation at lag 1 with which differences no longer measure the noise of a pixel.
 MAX_LAG, MIN_DEVIATION, DEVIATION_SD, MAX_DEVIATION = 16, 0.06, 3, 0.15
+# Sides of the blocks whose means are compared with single pixels [px]; least part by which their noise is smaller, to
+# which this number of standard errors is added.
+BLOCK_SIDES, MIN_LOSS, BLOCK_SD = (2, 4, 8), 0.08, 4.0
 # Correlation of neighbouring differences of white noise.
 WHITE_CORRELATION = -0.5
 
@@ -98,6 +102,14 @@ class NoiseCorrelation(NamedTuple):
 
     range_px: int  # largest distance with a correlation other than that of white noise [px]; 0 if there is none
     is_white: bool  # whether differences of neighbours measure the noise of single pixels in spite of the correlation
+
+
+class BlockNoise(NamedTuple):
+    """Variance of means of n pixels in an image, times n, over that of single pixels; for each of `BLOCK_SIDES`."""
+
+    ratio: tuple[float, ...]  # this ratio of variances, 1 for white noise [side]
+    variance: tuple[float, ...]  # square of the standard error of the ratio [side]
+    pairs: tuple[float, ...]  # number of differences of blocks; 0 without any, where the ratio is 0 [side]
 
 
 class _Bin(NamedTuple):
@@ -330,6 +342,50 @@ def measure_pair_correlation(first: np.ndarray, second: np.ndarray) -> NoiseCorr
     if variance > 0:
         normalized[is_known] = np.where(is_inlier, difference[is_known] / np.sqrt(variance), np.nan)
     return _correlate_differences(normalized)
+
+
+def measure_block_noise(image: np.ndarray) -> BlockNoise:
+    """Return the noise of means of blocks in an image [row, column], relative to that of single pixels.
+
+    Both come from differences of 2 × 2 neighbours, in which noise of rows and of columns cancels. NaN pixels do not
+    count.
+    """
+    image, columns = np.asarray(image, float), []
+    for side in BLOCK_SIDES:
+        across, down = (size // side for size in image.shape)
+        pixels = image[: across * side, : down * side]
+        means = pixels.reshape(across, side, down, side).mean(axis=(1, 3))
+        square, mean_square = (
+            (values[:-1, :-1] - values[:-1, 1:] - values[1:, :-1] + values[1:, 1:]) ** 2
+            for values in (pixels, side * means)
+        )
+        square, mean_square = square[np.isfinite(square)], mean_square[np.isfinite(mean_square)]
+        count, scale = mean_square.size, float(square.mean()) if square.size else 0.0
+        if not count or not scale:
+            columns.append((0.0, 0.0, 0.0))
+            continue
+        # The variance of a square is 2 for white noise, and more if a few pixels have most of the noise.
+        variance = max(2 * float(mean_square.mean()) ** 2, float(mean_square.var())) * OVERLAP / count
+        columns.append((float(mean_square.mean()) / scale, variance / scale**2, float(count)))
+    return BlockNoise(*map(tuple, zip(*columns, strict=True)))
+
+
+def is_sharpened(images: Sequence[BlockNoise]) -> bool:
+    """Return whether neighbours differ by more noise than means of pixels have, as in sharpened images.
+
+    Sharpening keeps means and amplifies differences of neighbours. Of white noise, the mean of n pixels has 1/n of the
+    variance of a pixel; structure of the light and noise that pixels share only raise it. White noise seems sharpened
+    once in 10,000 sets of images.
+    """
+    if not images:
+        return False
+    # Means over images [side]; an image has the weight of its number of blocks, not of its error, which depends on it.
+    ratio, variance, count = (np.array(values) for values in zip(*images, strict=True))
+    total = np.maximum(count.sum(axis=0), 1.0)
+    mean_ratio = (count * ratio).sum(axis=0) / total
+    error = np.sqrt((count**2 * variance).sum(axis=0)) / total
+    is_known = total >= MIN_COUNT
+    return bool(np.any(is_known & (mean_ratio + BLOCK_SD * error < 1 - MIN_LOSS)))
 
 
 def _correlate_differences(normalized: np.ndarray) -> NoiseCorrelation:

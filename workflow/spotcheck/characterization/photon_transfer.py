@@ -17,6 +17,7 @@ from spotcheck.characterization.derived_quantities import set_dark_electrons, se
 from spotcheck.characterization.emva_quantities import QUANTITIES, QuantityTable
 from spotcheck.characterization.levels import Level, collect_field, measure_light
 from spotcheck.characterization.line_fits import MIN_POINTS, fit_line, fit_through_zero
+from spotcheck.characterization.noise_curve import is_sharpened
 
 # Largest signal of the levels to which the gain is fitted, as a part of saturation (section 8.2).
 MAX_GAIN_SIGNAL = 0.7
@@ -85,17 +86,25 @@ def analyse_photon_transfer(levels: Sequence[Level], full_scale_dn: float) -> Tr
         transfer.remarks.append(contradiction.sentence)
         quantities.set_unknown(contradiction.affected_names, contradiction.reason)
     if reason := _describe_shared_noise([*transfer.flats, *transfer.darks]):
-        transfer.remarks.append(f"{reason}; record flats and darks without noise reduction, compression or resampling")
+        advice = "record flats and darks without noise reduction, sharpening, compression or resampling"
+        transfer.remarks.append(f"{reason}; {advice}")
         quantities.set_unknown([name for name in QUANTITIES if name not in NOISE_FREE], reason)
     return replace(transfer, quantities=QuantityTable({name: quantities[name] for name in QUANTITIES}))
 
 
 def _describe_shared_noise(levels: Sequence[Level]) -> str:
-    """Return a phrase if pixels share their noise in more than half of the levels with noise; "" otherwise.
+    """Return a phrase if the noise of more than half of the levels is not that of single pixels; "" otherwise.
 
-    By chance, a level of 400 pixels seems to share noise once in 200 cases, and larger ones never.
+    By chance, a level of 400 pixels seems to share noise once in 200 cases, and larger ones never. Levels of white
+    noise seem sharpened once in 10,000 datasets.
     """
-    all_ranges_px = [level.noise_range_px for level in levels if level.frames > 1 and level.variance > 0]
+    noisy = [level for level in levels if level.frames > 1 and level.variance > 0]
+    if is_sharpened([level.block_noise for level in noisy if level.block_noise is not None]):
+        return (
+            "the frames are sharpened: neighbouring pixels differ by more noise than means of pixels have, so that it"
+            " is not that of single pixels"
+        )
+    all_ranges_px = [level.noise_range_px for level in noisy]
     ranges_px = [range_px for range_px in all_ranges_px if range_px]
     if len(ranges_px) <= len(all_ranges_px) / 2:
         return ""

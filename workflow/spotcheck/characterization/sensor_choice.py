@@ -363,6 +363,16 @@ def read_standard_errors(ds: xr.Dataset) -> tuple[float, float, float]:
     return gain, noise, black
 
 
+def read_sources(ds: xr.Dataset) -> dict[str, str]:
+    """Return the source (one of `SOURCES`) of each quantity in the content of sensor.nc; defaults are left out."""
+    sources = {}
+    for name in QUANTITIES:
+        has_value = ds[f"{name}_by"].values == float(ds[name])
+        if has_value.any():
+            sources[name] = str(ds["source"].values[has_value.argmax()])
+    return sources
+
+
 def read_sensor_model(ds: xr.Dataset) -> SensorModel | None:
     """Return the sensor model in the content of sensor.nc; None if gain or read noise is unknown."""
     values = {name: float(ds[name]) for name in QUANTITIES}

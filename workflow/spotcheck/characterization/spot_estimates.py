@@ -39,6 +39,9 @@ PEAK_BINS = 1.5
 MIN_AGREEING, MIN_AGREEING_PART, AGREEMENT = 2, 0.6, 0.05
 # Reason why differences of neighbouring pixels give no gain although they grow with the light.
 FINE_LIGHT = "neighbouring pixels differ by the light itself, which is finer than some pixels"
+# Reason why sharpened images give no gain, and width of the rim that shows it, as a part of the side of an image.
+SHARPENED = "the images are sharpened: neighbouring pixels differ by more noise than means of pixels have"
+SHARP_RIM = 0.2
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,8 @@ def estimate_from_spots(
         if not noise_curve.is_gain_of_noise(gains[neighbours], curve, spread_curve):
             del gains[neighbours]
             refusal = FINE_LIGHT
+    if noise_curve.is_sharpened([noise_curve.measure_block_noise(_cut_rim(crop)) for crop in tested_crops]):
+        gains, refusal = {}, SHARPENED
     best_method = min(gains, key=lambda method: gains[method].gain_stderr / gains[method].gain, default="")
     return SpotEstimates(
         gain=gains.get(best_method),
@@ -182,6 +187,14 @@ def _describe_faults(images: Sequence[np.ndarray], full_scale_dn: float) -> str:
         range_px = int(np.median([correlation.range_px for correlation in correlations]))
         text += f"; pixels share noise over {range_px} px, as in compressed frames, so it is not that of single pixels"
     return text
+
+
+def _cut_rim(image: np.ndarray) -> np.ndarray:
+    """Return an image [rows, columns] in DN with NaN in place of its spot."""
+    rows, columns = (max(1, round(SHARP_RIM * side)) for side in image.shape)
+    rim = np.array(image, float)
+    rim[rows:-rows, columns:-columns] = np.nan
+    return rim
 
 
 def _sum_saturated(first: np.ndarray, second: np.ndarray, limit_dn: float) -> np.ndarray:

@@ -26,7 +26,7 @@ GROUPS = {
     },
     "your own data": {
         "new-dataset": "make a dataset from a folder of images: read what their files state, ask for the rest",
-        "check": "check a dataset folder against the contract, without decoding a pixel",
+        "check": "check a dataset folder against the contract, with a sample of its frames",
         "adopt": "write what the results say about the instrument into an instrument file, value by value",
         "correct": "write the frames in electrons, linearized and with their variance",
     },

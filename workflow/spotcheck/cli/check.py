@@ -1,6 +1,6 @@
-"""`spotcheck check`: checks that a dataset folder keeps the dataset contract, without decoding a pixel.
+"""`spotcheck check`: checks that a dataset folder keeps the dataset contract.
 
-The contract is the required form of manifest.csv, instrument.yaml and the frames.
+The contract is the required form of manifest.csv, instrument.yaml and the frames. Of these, a sample is decoded.
 
 Examples
 --------
@@ -11,7 +11,7 @@ import argparse
 import shlex
 from importlib.util import find_spec
 
-from spotcheck.crops.ingest import check_dataset
+from spotcheck.crops.ingest import check_dataset, check_readings
 from spotcheck.dataset import folder
 from spotcheck.dataset.manifest import KINDS
 from spotcheck.dataset.plausibility import list_unusual_values
@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> None:
     # Called for its check only: it raises `InputError` if the file that instrument.yaml names as `light.profile`, the
     # shape of the light, cannot be read.
     baseline.build_baseline(dataset.instrument, dataset.exposures)
+    check_readings(dataset)
     kinds = ", ".join(f"{sum(frame.kind == kind for frame in dataset.frames)} {kind}" for kind in KINDS)
     rows, columns = frame_format.shape
     print(f"{dataset.name}: {kinds} frames of {columns} × {rows} px, {frame_format.bits} bit: in order")

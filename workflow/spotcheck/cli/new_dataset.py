@@ -92,6 +92,17 @@ def _write_rows(
     """
     # The draft has the rows of the manifest and the keys of the instrument file.
     draft = draft_manifest(scan, answers)
+    # The side of the crop is None if the default is large enough or no spot was found.
+    proposal = propose_crop_size(folder, draft, colour)
+    if proposal.errors:
+        # Files whose pixels cannot be read are left out, as those whose headers cannot be read are.
+        errors = (*scan.errors, *proposal.errors.values())
+        scan = scan._replace(
+            frames=tuple(frame for frame in scan.frames if frame.file not in proposal.errors), errors=errors
+        )
+        if not scan.frames:
+            raise InputError(f"{errors[0]}{f'; of {len(errors)} images none is read' if len(errors) > 1 else ''}")
+        draft = draft_manifest(scan, answers)
     print(*summarize_scan(str(folder), scan, draft), sep="\n")
     if missing_keys := [key for key in _list_missing_keys(draft) if key not in written_names]:
         if sys.stdin.isatty():
@@ -102,10 +113,7 @@ def _write_rows(
             print(f"Not found: {', '.join(missing_keys)}.")
             print(f"Give what you know by options such as --set {example}, or write it into manifest.csv and")
             print("instrument.yaml. Without it the frames are evaluated as far as possible.")
-    # The side of the crop is None if the default is large enough or no spot was found.
-    proposal = propose_crop_size(folder, draft, colour)
-    print(*proposal.errors[:MAX_LISTED], sep="\n", end="\n" if proposal.errors else "")
-    if not proposal.has_spot and not proposal.errors:
+    if not proposal.has_spot:
         print("No spot stands out in these frames. Mark darks and flats by the words dark and flat in names of")
         print("files or folders, or in the column kind.")
     written, changes, remarks = completion.write_or_complete(folder, draft, proposal.side_px, answers)

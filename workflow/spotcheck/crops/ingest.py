@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from spotcheck.crops.crop_size import sample_evenly
 from spotcheck.crops.full_scale import FullScale, ReadingExtremes, find_full_scale, measure_extremes
 from spotcheck.dataset import file_cache, frames
 from spotcheck.dataset.folder import Dataset, check_files, get_column_unit
@@ -41,6 +42,19 @@ def check_dataset(dataset: Dataset) -> frames.FrameFormat:
     """
     check_files(dataset)
     return frames.check_formats(dataset)
+
+
+def check_readings(dataset: Dataset) -> None:
+    """Decode the first frame of some files at even distances, as `new-dataset` does.
+
+    Raises
+    ------
+    InputError
+        If one cannot be decoded, or its pixels are no readings: swapped bytes, false colours, values above full scale.
+    """
+    first_frames = {frame.file: frame for frame in reversed(dataset.frames)}
+    for frame in sample_evenly(list(reversed(first_frames.values()))):
+        frames.read_image(dataset, frame)
 
 
 def ingest_frames(dataset: Dataset, before: Mapping[str, file_cache.FileRecord] = MappingProxyType({})) -> xr.Dataset:

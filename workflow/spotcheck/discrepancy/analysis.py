@@ -76,9 +76,11 @@ class Setting:
     """Properties that the instrument fixes."""
 
     baseline: Baseline  # declared model of the light
-    sensor: SensorModel  # sensor as in the data sheet
+    sensor: SensorModel  # sensor as in the data sheet, or as measured
     crop_px: float  # side of the crops [px]
     stderr: Mapping[str, float] = field(default_factory=dict)  # stated standard errors, by field of `sensor`
+    # Where a value comes from (one of `sensor_choice.SOURCES`), by field of `sensor`; those left out are of the sheet.
+    sources: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,7 @@ def examine(prepared: Prepared, selected: SelectedEffects, effects: Sequence[Eff
 def fit_declared(frames: FrameSet, spots: FrameParameters, setting: Setting) -> JointFit:
     """Fit the declared model to frames, from starting values of their spots.
 
-    Beside the spot parameters, the read noise is fitted, and gain and black level if the data sheet has their errors.
+    Beside the spot parameters, the read noise is fitted, and gain and black level if their errors are known.
     """
     baseline = replace(setting.baseline, photon_budget="free")
     model = JointModel(ForwardModel(baseline, setting.sensor), spots, frames.design, free_sensor_parameters(setting))
@@ -266,7 +268,7 @@ def fit_declared(frames: FrameSet, spots: FrameParameters, setting: Setting) -> 
 
 
 def free_sensor_parameters(setting: Setting) -> tuple[FreeParameter, ...]:
-    """Return the fitted parameters of the sensor: the read noise, and gain and black level if their errors are stated.
+    """Return the fitted parameters of the sensor: the read noise, and gain and black level if their errors are known.
 
     The effect of a parameter of the sensor is named "".
     """

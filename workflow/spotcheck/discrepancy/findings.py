@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from spotcheck.characterization.sensor_choice import SHEET, SPOTS
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.model.effect import AppliedEffect, Effect
 from spotcheck.model.light_shape import LightShape
@@ -99,14 +100,24 @@ class LearnedLight:
 
 @dataclass(frozen=True)
 class SensorPull:
-    """A parameter of the sensor: value of the data sheet and value fitted with it as a prior."""
+    """A parameter of the sensor: value of the data sheet, or as measured, and value fitted with it as a prior.
+
+    A value from the spots was measured in the same frames to which the model is fitted. The frames count once in the
+    error of the fitted value, which neither contradicts nor confirms the first.
+    """
 
     name: str  # key of the instrument's sensor, such as "gain_dn_per_e"
     unit: str  # of all four numbers
-    stated: float  # value of the data sheet
+    stated: float  # value of the data sheet, or as measured
     stated_stderr: float  # standard error of the stated value
-    fitted: float  # value from data sheet and frames together
+    fitted: float  # value from the stated one and the frames together
     stderr: float  # standard error of the fitted value
+    source: str = SHEET  # source of the stated value: one of `sensor_choice.SOURCES`
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether the stated value comes from elsewhere than from the fitted frames."""
+        return self.source != SPOTS
 
     @property
     def shift(self) -> float:
@@ -119,7 +130,8 @@ class SensorPull:
 
         Misfit, which increases the error of the fitted value, may pull it far away from a precise stated one.
         """
-        return bool(min(abs(self.shift), abs(self.fitted - self.stated) / self.stderr) > CLEAR_ERRORS)
+        errors = min(abs(self.shift), abs(self.fitted - self.stated) / self.stderr)
+        return bool(self.is_independent and errors > CLEAR_ERRORS)
 
     @property
     def z(self) -> float:

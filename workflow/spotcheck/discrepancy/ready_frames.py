@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from spotcheck.characterization.sensor_choice import read_sensor_model, read_standard_errors
+from spotcheck.characterization.sensor_choice import read_sensor_model, read_sources, read_standard_errors
 from spotcheck.crops.cropping import is_usable
 from spotcheck.dataset.folder import Dataset
 from spotcheck.dataset.manifest import Frame
@@ -94,7 +94,7 @@ def prepare_dataset(
         return spots
     names = ("gain_dn_per_e", "read_noise_e", "black_level_dn")
     stderr = dict(zip(names, read_standard_errors(sensor), strict=True))
-    setting = Setting(baseline, sensor_model, float(dataset.instrument.crop_px), stderr)
+    setting = Setting(baseline, sensor_model, float(dataset.instrument.crop_px), stderr, read_sources(sensor))
     return ReadyFrames(frames, tuple(cells), spots, setting, tuple(filter(None, remarks)))
 
 

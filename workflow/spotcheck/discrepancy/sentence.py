@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from spotcheck.characterization.sensor_choice import SOURCES
 from spotcheck.discrepancy.criteria import CLEAR_ERRORS
 from spotcheck.discrepancy.limits import NOT_CONFIRMED, TOO_SMALL
 from spotcheck.discrepancy.verdict import LEARNED_SHAPE, NO_TEST, NOT_CONVERGED, Status
@@ -84,14 +85,19 @@ def _wording_of(document: Mapping[str, Any]) -> Wording:
 
 
 def _describe_contradiction(document: Mapping[str, Any]) -> str:
-    """Return a sentence on the numbers of the data sheet that the frames contradict."""
+    """Return a sentence on each source whose numbers the frames contradict: data sheet, or flats and darks."""
+    return _join(*(_describe_contradicted(document, source) for source in SOURCES))
+
+
+def _describe_contradicted(document: Mapping[str, Any], source: str) -> str:
+    """Return a sentence on the numbers of one source that the frames contradict."""
     texts = [
         f"{SHEET_WORDS.get(row['name'], row['name'])} is {quantity_text(row['found'], row['stderr'], row['unit'])}, not"
         f" {quantity_text(row['stated'], row['stated_stderr'], row['unit'])}"
         for row in document["sheet"]
-        if row["contradicts"]
+        if row["contradicts"] and row["source"] == source
     ]
-    return f"The frames contradict the data sheet: {list_text(texts, '; ')}." if texts else ""
+    return f"The frames contradict the {source}: {list_text(texts, '; ')}." if texts else ""
 
 
 def _describe_disagreement(document: Mapping[str, Any]) -> str:

@@ -228,19 +228,21 @@ def describe_light(light: LearnedLight) -> dict[str, Any]:
 
 
 def describe_pull(pull: SensorPull) -> dict[str, Any]:
-    """Return a row of the key `sheet`: a number of the data sheet, and its fitted value.
+    """Return a row of the key `sheet`: a number of the data sheet, or as measured, and its fitted value.
 
-    `z` is None if the frames do not make the standard error smaller than that of the data sheet.
+    `z` is None if the frames do not make the standard error smaller than that of the stated value, or if this was
+    measured in the same frames.
     """
     return {
         "name": pull.name,
         "unit": pull.unit,
+        "source": pull.source,
         "stated": pull.stated,
         "stated_stderr": pull.stated_stderr,
         "found": pull.fitted,
         "stderr": pull.stderr,
         "stated_errors": pull.shift,
-        "z": pull.z if pull.stderr < pull.stated_stderr else None,
+        "z": pull.z if pull.stderr < pull.stated_stderr and pull.is_independent else None,
         "contradicts": pull.contradicts,
     }
 

@@ -167,13 +167,13 @@ def _read_sensor_parameters(results: Path) -> Iterator[LearnedValue]:
 
 
 def _read_revised_sheet(verdict: Mapping[str, Any]) -> Iterator[LearnedValue]:
-    """Yield the sensor parameters that the verdict fitted to all frames together, with the data sheet as a prior.
+    """Yield the sensor parameters that the verdict fitted to all frames together, with the stated value as a prior.
 
     A parameter replaces the stated value if it contradicts it. `found`, the fitted value, is never missing.
     """
-    source = "data sheet and all frames together (verdict.json)"
     for entry in verdict.get("sheet") or ():
         key, stderr = f"sensor.{entry['name']}", _to_float(entry["stderr"])
+        source = f"{entry['source']} and all frames together (verdict.json)"
         yield LearnedValue(key, entry["found"], stderr, entry["unit"], source, overrules=entry["contradicts"])
 
 

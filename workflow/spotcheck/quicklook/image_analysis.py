@@ -42,6 +42,8 @@ LEAST_CLIP_DN = 1e-9
 
 # Two widths [px] along the long and the short axis, each with its standard error.
 Widths = list[tuple[float, float]]
+# Most noise of an image whose swapped bytes would show a spot [variance of all readings]; noise alone has 1.
+MOST_NOISE_PART = 0.25
 
 
 class Profile(NamedTuple):
@@ -83,6 +85,7 @@ class ImageResult:
     outlier_text: str  # sentence about outlying pixels, which are left out; "" if there are none
     impossible_counts: Mapping[str, int]  # number of pixels that were not measured, by the reason as a sentence
     picture: SpotPicture | None  # data for a picture; None if there is no spot
+    has_swapped_spot: bool = False  # whether there is no spot, but one if both bytes of each reading are swapped
 
     @property
     def has_reliable_fit(self) -> bool:
@@ -179,7 +182,20 @@ def analyse_image(image: Image, camera: Camera, z_m: float | None = None) -> Ima
         name=image.name, shape=pixels.shape, z_m=z_m, moments=moments, fit=fit, clipping=clipping,
         residual_rms=residual_rms, is_noise_known=camera.gain is not None, outlier_text=outlier_text,
         impossible_counts=image.impossible_readings.counts, picture=picture,
+        has_swapped_spot=fit is None and image.bits == 16 and _has_spot_if_swapped(pixels),
     )  # fmt: skip
+
+
+def _has_spot_if_swapped(pixels: np.ndarray) -> bool:
+    """Return whether an image [rows, columns] of 16 bit shows a spot if the two bytes of each reading are swapped.
+
+    NaN pixels read 0. Unlike the check of files, this also finds swapped bytes of readings that use all 16 bits.
+    """
+    swapped = np.nan_to_num(pixels).astype(np.uint16).byteswap().astype(float)
+    # Noise, by differences of neighbours along a row, must be small beside the spot.
+    if swapped.shape[1] < 2 or np.mean(np.diff(swapped, axis=1) ** 2) / 2 > MOST_NOISE_PART * swapped.var():
+        return False
+    return second_moments(swapped).is_measured
 
 
 def compute_clip_widening(amplitude_over_clip: float) -> float:

@@ -166,6 +166,8 @@ def _find_cautions(image: ImageResult) -> Iterator[Caution]:
     moments, fit = image.moments, image.fit
     for reason, count in image.impossible_counts.items():
         yield Caution(f"{reason}; such pixels:", str(count))
+    if image.has_swapped_spot:
+        yield Caution("a spot appears if high and low bytes are swapped: save the image in the other byte order")
     if fit is not None and not image.has_reliable_fit:
         yield Caution("the fit is not reliable: the image does not constrain it; status", str(fit.status))
     if fit is not None and image.is_noise_known and fit.chi2_reduced > SHAPE_CHI2:

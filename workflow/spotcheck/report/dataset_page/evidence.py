@@ -130,10 +130,10 @@ def _limit_row(limit: Mapping[str, Any], effect: Effect | None, citations: Citat
 
 
 def compare_data_sheet(verdict: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the variable `sheet` of sheet.html: numbers of the data sheet beside the same numbers as fitted.
+    """Return the variable `sheet` of sheet.html: stated or measured numbers beside the same numbers as fitted.
 
-    The fit combines data sheet and frames. `rows` are the entries of the verdict, `hint` is a text beside the heading.
-    Returns None if no number of the data sheet was fitted.
+    The fit combines both with the frames. `rows` are the entries of the verdict, `hint` is a text beside the heading.
+    Returns None if no such number was fitted.
     """
     rows = verdict["sheet"]
     count = sum(entry["contradicts"] for entry in rows)

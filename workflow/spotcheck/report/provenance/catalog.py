@@ -34,6 +34,11 @@ MIN_SIMILARITY = 0.6
 # Larger variables are images and are not read [byte]: one number for each of 10,000 frames is smaller.
 MAX_BYTES = 2**20
 INSTRUMENT_FILE = "instrument.yaml"
+# Numbers that people ask for by their short names, by the file without suffix: a skipped file does not name them.
+NUMBERS_OF = {
+    "calibration": ("p1", "p2", "peak"),
+    "caustic": ("m2", "beam", "waist_radius", "waist_position", "divergence", "rayleigh_length"),
+}
 # Readers of the text files with numbers, by file name.
 TEXT_READERS = {
     "verdict.json": text_files.read_verdict,
@@ -93,9 +98,20 @@ class Catalog:
             entry_dims = ", ".join(candidates[0].dims)
             shape = f"its dimensions are {entry_dims}" if entry_dims else "it is one number"
             raise InputError(f"{name}: has no {' and '.join(sorted(labelled_dims))}; {shape}")
+        if reason := self._explain_skipped(name):
+            raise InputError(f"{name}: was skipped: {reason}")
         similar = difflib.get_close_matches(_fold(name), self.entries_by_name, MAX_NAMES, MIN_SIMILARITY)
         hint = f"; nearest are {_list_names(similar)}" if similar else ""
         raise InputError(f"{name}: no number of these results has this name{hint}; `spotcheck explain` lists all")
+
+    def _explain_skipped(self, name: str) -> str:
+        """Return why the file that would have a number of this name was skipped; "" if none was, or is known."""
+        for file, table in self.tables.items():
+            numbers = NUMBERS_OF.get(file, ())
+            names = {_fold(part) for number in numbers for part in (number, f"{file}.{number}")}
+            if "skipped" in table.attrs and (_fold(name) in names or name.startswith(f"{file}.")):
+                return str(table.attrs["skipped"])
+        return ""
 
     def _find_other_spelling(self, name: str) -> list[CatalogEntry]:
         """Return the entries that have a name in another spelling: letters of another case, M² for m2."""
