@@ -20,6 +20,7 @@ from spotcheck.crops.full_scale import FullScale, ReadingExtremes, find_full_sca
 from spotcheck.dataset import file_cache, frames
 from spotcheck.dataset.folder import Dataset, check_files, get_column_unit
 from spotcheck.dataset.impossible_readings import describe_impossible_readings
+from spotcheck.dataset.manifest import Frame
 from spotcheck.dataset.plausibility import list_unusual_values
 from spotcheck.errors import InputError
 from spotcheck.io import progress, store
@@ -52,8 +53,10 @@ def check_readings(dataset: Dataset) -> None:
     InputError
         If one cannot be decoded, or its pixels are no readings: swapped bytes, false colours, values above full scale.
     """
-    first_frames = {frame.file: frame for frame in reversed(dataset.frames)}
-    for frame in sample_evenly(list(reversed(first_frames.values()))):
+    first_frames: dict[str, Frame] = {}
+    for frame in dataset.frames:
+        first_frames.setdefault(frame.file, frame)
+    for frame in sample_evenly(list(first_frames.values())):
         frames.read_image(dataset, frame)
 
 

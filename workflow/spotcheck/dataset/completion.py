@@ -24,7 +24,7 @@ from spotcheck.io import store
 from spotcheck.io.formats.names import split_inner_path
 from spotcheck.io.number_text import count_text
 from spotcheck.io.schema import parse_keys, read_schema
-from spotcheck.io.text import read_text
+from spotcheck.io.text import join_first, read_text
 
 MANIFEST, INSTRUMENT = "manifest.csv", "instrument.yaml"
 # Columns in which blanks are never filled: they say which frame a row is, and a blank repeat means that repeats are not
@@ -173,7 +173,7 @@ def complete_manifest(path: Path, draft: ManifestDraft, answers: Collection[str]
 def _name_missing(frames: Collection[tuple[str, str]]) -> str:
     """Return the remark on frames (file, page) without a row."""
     names = list(dict.fromkeys(file for file, _ in frames))
-    listed = ", ".join(names[:MOST_LISTED]) + (", …" if len(names) > MOST_LISTED else "")
+    listed = join_first(names, MOST_LISTED)
     return f"manifest.csv: no row for {count_text(len(frames), 'frame')} ({listed}); add rows for those to be used"
 
 
@@ -233,16 +233,14 @@ def _list_differences(
             # A kind of spot may only be assumed.
             is_stated = column in answers or (column, found) != ("kind", "spot")
             differing += is_stated and _differs(row.get(column, ""), found)
-        if differing and column in answers:
-            yield (
-                f"manifest.csv: {column} has another value in {count_text(differing, 'row')}, which stays;"
-                " change it there if it is wrong"
-            )
-        elif differing:
-            yield (
-                f"manifest.csv: {column} differs from the table above in {count_text(differing, 'row')}, and stays;"
-                " change it there if it is wrong"
-            )
+        rows = count_text(differing, "row")
+        difference = (
+            f"has another value in {rows}, which stays"
+            if column in answers
+            else f"differs from the table above in {rows}, and stays"
+        )
+        if differing:
+            yield f"manifest.csv: {column} {difference}; change it there if it is wrong"
 
 
 def _normalize_file(text: str) -> str:

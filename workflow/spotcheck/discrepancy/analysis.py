@@ -79,7 +79,7 @@ class Setting:
     sensor: SensorModel  # sensor as in the data sheet, or as measured
     crop_px: float  # side of the crops [px]
     stderr: Mapping[str, float] = field(default_factory=dict)  # stated standard errors, by field of `sensor`
-    # Where a value comes from (one of `sensor_choice.SOURCES`), by field of `sensor`; those left out are of the sheet.
+    # Source of a value (one of `sensor_choice.SOURCES`), by field of `sensor`; the data sheet for fields left out.
     sources: Mapping[str, str] = field(default_factory=dict)
 
 

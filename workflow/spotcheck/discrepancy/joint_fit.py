@@ -273,33 +273,33 @@ def fit_jointly(
     """
     total_tolerance = (TOTAL_TOLERANCE if model.grid is None else SHAPE_TOLERANCE) * tolerance / EFFECT_TOLERANCE
     model = model if model.grid is None else model.with_least_light(pixels.share)
-    equations, damping, step_fraction, count, factor_age = assemble(model, pixels), 0.0, 1.0, 0, 0
-    while True:  # `factor_age`: steps since the factor was computed
+    equations, damping, step_fraction, count, steps_since_factor = assemble(model, pixels), 0.0, 1.0, 0, 0
+    while True:
         fixed = _find_blocked(model, equations)
         step = equations.solve(0.0, fixed)
         decrement, effect_decrement = equations.decrements(step, fixed)
         dispersion = max(equations.dispersion, pixels.dispersion, 1.0)
         has_converged = decrement < total_tolerance * dispersion and effect_decrement < tolerance * dispersion
-        if (has_converged or count == iterations) and factor_age > 0:
+        if (has_converged or count == iterations) and steps_since_factor > 0:
             # The information of an effect beside the shape may be a small difference, which needs a new factor.
-            equations, factor_age = assemble(model, pixels), 0
+            equations, steps_since_factor = assemble(model, pixels), 0
             continue
         if has_converged or _is_decided(equations.deviance, decrement, rival, target) or count == iterations:
             break
-        is_old = model.grid is not None and (factor_age + 1 >= FACTOR_STEPS or decrement > FACTOR_DECREMENT)
+        is_old = model.grid is not None and (steps_since_factor + 1 >= FACTOR_STEPS or decrement > FACTOR_DECREMENT)
         accepted, damping, step_fraction = _try_steps(model, pixels, equations, damping, step_fraction, fixed, is_old)
-        if accepted is None and factor_age == 0:
+        if accepted is None and steps_since_factor == 0:
             break
         if accepted is None:
             # The reused factor may be the reason for the failure.
-            equations, factor_age, step_fraction = assemble(model, pixels), 0, 1.0
+            equations, steps_since_factor, step_fraction = assemble(model, pixels), 0, 1.0
             continue
         model, new = accepted
         gain = equations.deviance - new.deviance
         is_new = model.grid is not None and not new.has_factor_of(equations)
         if model.grid is not None and not is_new and (is_old or gain < FACTOR_GAIN * equations.promise(step)):
             new, is_new = assemble(model, pixels), True
-        equations, count, factor_age = new, count + 1, 0 if is_new else factor_age + 1
+        equations, count, steps_since_factor = new, count + 1, 0 if is_new else steps_since_factor + 1
     return JointFit(model, pixels, equations, bool(has_converged), count)
 
 

@@ -1,6 +1,7 @@
 """Text files as editors and spreadsheets save them."""
 
 import codecs
+from collections.abc import Sequence
 from pathlib import Path
 
 from spotcheck.errors import InputError
@@ -9,6 +10,11 @@ from spotcheck.errors import InputError
 def replace_unprintable(text: str) -> str:
     """Return a text with a space in place of each character that cannot be printed, such as a control character."""
     return text if text.isprintable() else "".join(letter if letter.isprintable() else " " for letter in text)
+
+
+def join_first(texts: Sequence[str], most: int) -> str:
+    """Return the first `most` texts, separated by commas, with an ellipsis if there are more."""
+    return ", ".join(texts[:most]) + (", …" if len(texts) > most else "")
 
 
 def read_text(path: Path) -> str:

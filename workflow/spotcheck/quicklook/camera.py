@@ -73,8 +73,8 @@ def estimate_camera(images: Sequence[Image]) -> Camera:
     InputError
         If an image has no finite reading.
     """
-    names, images = tuple(image.name for image in images), _select_measured(images)
-    clip_levels = (find_clip_level(image.read(), image.bits) for image in images)
+    names = tuple(image.name for image in images)
+    images, clip_levels = zip(*_measure_clip_levels(images), strict=True)
     # A camera clips at one level; a lower plateau is part of the light.
     clip_level = max((level for level in clip_levels if np.isfinite(level)), default=np.inf)
     step_dn = _estimate_step(images)
@@ -91,12 +91,17 @@ def estimate_camera(images: Sequence[Image]) -> Camera:
     )  # fmt: skip
 
 
-def _select_measured(images: Sequence[Image]) -> Sequence[Image]:
-    """Return the images whose pixels differ; all if none has such pixels.
+def _measure_clip_levels(images: Sequence[Image]) -> list[tuple[Image, float]]:
+    """Return the images whose pixels differ, each with its clip level [DN]; all images if none has such pixels.
 
     An image of one reading, such as an empty page of a stack, holds no measurement.
     """
-    return [image for image in images if np.nanmin(pixels := image.read()) < np.nanmax(pixels)] or images
+    uniform, measured = list[tuple[Image, float]](), list[tuple[Image, float]]()
+    for image in images:
+        pixels = image.read()
+        images_alike = measured if np.nanmin(pixels) < np.nanmax(pixels) else uniform
+        images_alike.append((image, find_clip_level(pixels, image.bits)))
+    return measured or uniform
 
 
 def find_clip_level(pixels: np.ndarray, bits: int | None) -> float:

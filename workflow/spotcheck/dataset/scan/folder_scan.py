@@ -15,7 +15,7 @@ from spotcheck.errors import InputError
 from spotcheck.io.formats import files
 from spotcheck.io.formats.colour import MONOCHROME, Colour
 from spotcheck.io.formats.names import IMAGE_SUFFIXES, split_inner_path
-from spotcheck.io.text import replace_unprintable
+from spotcheck.io.text import join_first, replace_unprintable
 
 # Most names of rows that a remark lists.
 MOST_LISTED = 5
@@ -113,7 +113,7 @@ def _remark_on_tables(
                 continue
             if not rows:
                 continue
-            listed = ", ".join(row.name for row in rows[:MOST_LISTED]) + (", …" if len(rows) > MOST_LISTED else "")
+            listed = join_first([row.name for row in rows], MOST_LISTED)
             if len(rows) == row_count:
                 yield f"{name}: no row matches an image ({listed}); write the file names of the images"
             else:

@@ -11,6 +11,7 @@ import xarray as xr
 
 from spotcheck.characterization.emva_quantities import QUANTITIES
 from spotcheck.errors import InputError
+from spotcheck.io.text import join_first
 from spotcheck.report.provenance.records import CatalogEntry, StoredNumber
 
 # Attribute of a file that names the default label of a dimension, which is the one that the workflow itself uses.
@@ -170,5 +171,5 @@ def find_label(ds: xr.Dataset, dim: str, label: str, question: str) -> int:
     except (ValueError, KeyError):
         # The label or the coordinate is no number, or there is no coordinate.
         pass
-    known = ", ".join(labels[:MAX_LABELS]) + (", …" if len(labels) > MAX_LABELS else "")
+    known = join_first(labels, MAX_LABELS)
     raise InputError(f"{question}: no such {dim}; there are {known}")
